@@ -1,0 +1,3 @@
+//! SCIP 2.0, the protocol of Hokuyo laser scanners.
+
+pub mod number;

@@ -1,0 +1,5 @@
+//! A map that sees glass.
+
+pub mod map;
+pub mod pose;
+pub mod scan;

@@ -1,0 +1,3 @@
+//! The program `visagged`.
+
+fn main() {}

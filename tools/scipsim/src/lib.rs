@@ -1,0 +1,1 @@
+//! A simulated Hokuyo scanner.
