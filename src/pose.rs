@@ -37,3 +37,110 @@ pub struct StampedPose {
     /// Counts the jumps of the source: poses with different counts must not be interpolated.
     pub reset: u32,
 }
+
+/// Why there is no pose for a moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoPose {
+    /// The moment lies after the last pose: one may still come.
+    NotYet,
+    /// The moment lies before the first pose that is kept.
+    TooOld,
+    /// The poses around it are too far apart to interpolate.
+    Gap,
+    /// The source jumped between the poses around it.
+    Jump,
+}
+
+/// The poses of the last moments, by time.
+#[derive(Debug, Default)]
+pub struct PoseBuffer {
+    poses: std::collections::VecDeque<StampedPose>,
+}
+
+impl PoseBuffer {
+    /// Takes in a pose. Returns false, and leaves the buffer as it was, where it is not newer than the last one.
+    pub fn push(&mut self, pose: StampedPose) -> bool {
+        let newer = self.poses.back().is_none_or(|last| last.stamp_ns < pose.stamp_ns);
+        if newer {
+            self.poses.push_back(pose);
+        }
+        newer
+    }
+
+    /// The pose at a moment, between two that are at most `widest_gap_ns` apart.
+    ///
+    /// # Errors
+    /// [`NoPose`] says why there is none; a pose is never extrapolated.
+    pub fn at(&self, stamp_ns: i64, widest_gap_ns: i64) -> Result<Pose, NoPose> {
+        let after = self.poses.partition_point(|pose| pose.stamp_ns < stamp_ns);
+        let next = self.poses.get(after).ok_or(NoPose::NotYet)?;
+        if next.stamp_ns == stamp_ns {
+            return Ok(next.pose);
+        }
+        let before = self.poses.get(after.wrapping_sub(1)).ok_or(NoPose::TooOld)?;
+        if before.reset != next.reset {
+            return Err(NoPose::Jump);
+        }
+        let gap = next.stamp_ns - before.stamp_ns;
+        if gap > widest_gap_ns {
+            return Err(NoPose::Gap);
+        }
+        let part = (stamp_ns - before.stamp_ns) as f64 / gap as f64;
+        Ok(interpolate(&before.pose, &next.pose, part))
+    }
+
+    /// Forgets what is older than the moment, except for the last pose before it.
+    pub fn forget_before(&mut self, stamp_ns: i64) {
+        while self.poses.get(1).is_some_and(|second| second.stamp_ns <= stamp_ns) {
+            self.poses.pop_front();
+        }
+    }
+}
+
+/// The pose `part` (0..1) of the way from one to the other, turning the shorter way.
+pub fn interpolate(from: &Pose, to: &Pose, part: f64) -> Pose {
+    let position = from.translation.vector.lerp(&to.translation.vector, part);
+    let turn = from.rotation.angle_to(&to.rotation) * part;
+    Pose::from_parts(position.into(), UnitComplex::new(turn) * from.rotation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    fn stamped(stamp_ns: i64, x: f64, yaw: f64, reset: u32) -> StampedPose {
+        StampedPose { stamp_ns, received_ns: stamp_ns, pose: pose(x, 0.0, yaw), covariance: None, reset }
+    }
+
+    #[test]
+    fn poses_between_poses() {
+        let mut buffer = PoseBuffer::default();
+        assert_eq!(buffer.at(0, 100), Err(NoPose::NotYet));
+        assert!(buffer.push(stamped(100, 1.0, PI - 0.1, 0)));
+        assert!(buffer.push(stamped(200, 2.0, 0.1 - PI, 0)));
+        assert!(!buffer.push(stamped(200, 9.0, 0.0, 0)), "not newer");
+        let between = buffer.at(150, 100).unwrap();
+        assert!((between.translation.x - 1.5).abs() < 1e-12);
+        assert!((between.rotation.angle().abs() - PI).abs() < 1e-12, "the shorter way round");
+        assert_eq!(buffer.at(99, 100), Err(NoPose::TooOld));
+        assert_eq!(buffer.at(201, 100), Err(NoPose::NotYet));
+        assert_eq!(buffer.at(150, 99), Err(NoPose::Gap));
+        buffer.push(stamped(250, 3.0, 0.0, 1));
+        assert_eq!(buffer.at(220, 100), Err(NoPose::Jump));
+        assert_eq!(buffer.at(250, 1).map(|p| p.translation.x), Ok(3.0));
+        buffer.forget_before(210);
+        assert_eq!(buffer.at(150, 100), Err(NoPose::TooOld));
+        assert_eq!(buffer.at(200, 100).map(|p| p.translation.x), Ok(2.0));
+    }
+
+    #[test]
+    fn a_heading_survives_its_message() {
+        for degrees in -180..180 {
+            let yaw = yaw_from_quaternion(quaternion_from_yaw(f64::from(degrees).to_radians()));
+            assert!((yaw - f64::from(degrees).to_radians()).abs() < 1e-12);
+            let again = yaw_from_quaternion(quaternion_from_yaw(yaw));
+            assert!((again - yaw).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! View angles as 16-bit binary angles, and ranges of them on the circle.
+//!
+//! 65536 units are one turn, so that all differences wrap by themselves; a unit is 0.0055 degrees, a
+//! fortieth of the scanner's step. A view angle is the bearing, in the map's frame, of the sensor as seen
+//! from the cell.
+
+use std::f64::consts::TAU;
+
+/// Units of a full turn.
+pub const TURN: u32 = 1 << 16;
+
+/// A direction in the plane, 65536 units a turn, counter-clockwise from the x axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Angle(pub u16);
+
+impl Angle {
+    /// The nearest binary angle to `rad`.
+    pub fn from_rad(rad: f64) -> Angle {
+        Angle((rad * (f64::from(TURN) / TAU)).round() as i64 as u16)
+    }
+
+    /// The angle in radians, 0..2 pi.
+    pub fn rad(self) -> f64 {
+        f64::from(self.0) * (TAU / f64::from(TURN))
+    }
+
+    /// Smallest turn between two directions (units, 0..=32768).
+    pub fn distance(self, other: Angle) -> u32 {
+        let difference = self.0.wrapping_sub(other.0);
+        u32::from(difference.min(difference.wrapping_neg()))
+    }
+}
+
+/// Units of an arc of `rad`.
+pub fn units(rad: f64) -> u32 {
+    (rad * (f64::from(TURN) / TAU)).round() as u32
+}
+
+/// A closed arc: `width` units counter-clockwise from `start`. A width of 65535 is the full circle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AngleRange {
+    /// Clockwise end.
+    pub start: Angle,
+    /// Length of the arc (units).
+    pub width: u16,
+}
+
+impl AngleRange {
+    /// The range that holds a single direction.
+    pub fn at(angle: Angle) -> AngleRange {
+        AngleRange { start: angle, width: 0 }
+    }
+
+    /// Whether the range is the whole circle.
+    pub fn is_full(self) -> bool {
+        self.width == u16::MAX
+    }
+
+    /// Direction in the middle of the arc.
+    pub fn middle(self) -> Angle {
+        Angle(self.start.0.wrapping_add(self.width / 2))
+    }
+
+    /// Whether `angle` lies in the arc.
+    pub fn contains(self, angle: Angle) -> bool {
+        angle.0.wrapping_sub(self.start.0) <= self.width
+    }
+
+    /// Grows the arc to `angle`, on the side where less is missing.
+    pub fn extend(&mut self, angle: Angle) {
+        let beyond_start = angle.0.wrapping_sub(self.start.0);
+        if beyond_start <= self.width {
+            return;
+        }
+        let after = beyond_start - self.width;
+        let before = beyond_start.wrapping_neg();
+        let grown = u32::from(self.width) + u32::from(after.min(before));
+        if before < after {
+            self.start = angle;
+        }
+        self.width = grown.min(u32::from(u16::MAX)) as u16;
+    }
+
+    /// How far the two arcs, each widened by `margin` on both sides, must slide apart until they no
+    /// longer meet (units); negative by the gap between them where they do not meet.
+    pub fn depth(self, other: AngleRange, margin: u32) -> i32 {
+        if self.is_full() || other.is_full() {
+            return TURN as i32;
+        }
+        let lengths = u32::from(self.width) + u32::from(other.width) + 4 * margin;
+        lengths as i32 / 2 - self.middle().distance(other.middle()) as i32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn range(start: u16, width: u16) -> AngleRange {
+        AngleRange { start: Angle(start), width }
+    }
+
+    #[test]
+    fn grows_to_the_nearer_side() {
+        let mut arc = range(100, 50);
+        arc.extend(Angle(120));
+        assert_eq!(arc, range(100, 50));
+        arc.extend(Angle(170));
+        assert_eq!(arc, range(100, 70));
+        arc.extend(Angle(90));
+        assert_eq!(arc, range(90, 80));
+        arc.extend(Angle(65_530));
+        assert_eq!(arc, range(65_530, 176), "across the wrap");
+    }
+
+    #[test]
+    fn a_turn_fills_the_circle() {
+        let mut arc = AngleRange::at(Angle(5));
+        for step in 0..700u32 {
+            arc.extend(Angle((5 + step * 100) as u16));
+        }
+        assert!(u32::from(arc.width) + 100 >= TURN - 1, "{arc:?}");
+        assert!(range(9, u16::MAX).is_full());
+        assert_eq!(range(9, u16::MAX).depth(AngleRange::at(Angle(40_000)), 0), TURN as i32);
+    }
+
+    #[test]
+    fn depth_is_the_slide_that_parts_them() {
+        assert_eq!(range(100, 100).depth(range(180, 100), 0), 20);
+        assert_eq!(range(100, 100).depth(range(140, 20), 0), 60, "inside: out by the nearer end");
+        assert_eq!(range(100, 0).depth(range(100, 0), 23), 46, "two single views at the same angle");
+        assert_eq!(range(65_500, 100).depth(range(10, 10), 0), 54 + 1 - 1);
+        assert!(range(0, 10).depth(range(500, 10), 0) < 0);
+    }
+
+    proptest! {
+        #[test]
+        fn extending_keeps_what_was_there(start: u16, width in 0u16..60_000, angle: u16, probe: u16) {
+            let before = range(start, width);
+            let mut after = before;
+            after.extend(Angle(angle));
+            prop_assert!(after.contains(Angle(angle)));
+            prop_assert!(!before.contains(Angle(probe)) || after.contains(Angle(probe)));
+        }
+
+        #[test]
+        fn turning_both_arcs_changes_no_depth(a: u16, wa in 0u16..30_000, b: u16, wb in 0u16..30_000, turn: u16) {
+            let turned = |s: u16, w| range(s.wrapping_add(turn), w);
+            prop_assert_eq!(range(a, wa).depth(range(b, wb), 7), turned(a, wa).depth(turned(b, wb), 7));
+            prop_assert_eq!(range(a, wa).depth(range(b, wb), 7), range(b, wb).depth(range(a, wa), 7));
+        }
+
+        #[test]
+        fn depth_is_positive_exactly_where_arcs_overlap(a: u16, wa in 1u16..15_000, b: u16, wb in 1u16..15_000) {
+            let (a, b) = (range(a, wa), range(b, wb));
+            let meet = a.contains(b.start) || b.contains(a.start);
+            let depth = a.depth(b, 0);
+            // The middle of an odd arc is rounded down, so a touch may come out one unit off.
+            prop_assert!(if meet { depth >= -1 } else { depth <= 1 }, "{:?} {:?} {}", a, b, depth);
+        }
+
+        #[test]
+        fn radians_survive(angle: u16) {
+            prop_assert_eq!(Angle::from_rad(Angle(angle).rad()), Angle(angle));
+            prop_assert_eq!(Angle::from_rad(Angle(angle).rad() - TAU), Angle(angle));
+        }
+    }
+}

@@ -1,0 +1,65 @@
+//! Occupancy grids: the VisAGGE grid and, for comparison, the standard one.
+
+pub mod angle;
+pub mod cell;
+pub mod free;
+mod snapshot;
+pub mod standard;
+pub mod sweep;
+pub mod tiles;
+pub mod verdict;
+pub mod view;
+pub mod visagge;
+
+use crate::{
+    map::Map,
+    mapper::{MapperKind, MapperSettings},
+};
+use standard::Standard;
+use sweep::Sweep;
+use visagge::Visagge;
+
+/// The grid that a mapper keeps.
+#[derive(Debug)]
+pub enum Grid {
+    /// VisAGGE.
+    Visagge(Box<Visagge>),
+    /// The standard occupancy grid.
+    Standard(Standard),
+}
+
+impl Grid {
+    /// An empty grid of the kind that is set.
+    pub fn new(settings: &MapperSettings) -> Grid {
+        let (resolution, visagge) = (settings.resolution, settings.visagge.clone());
+        match settings.mapper {
+            MapperKind::Visagge => Grid::Visagge(Box::new(Visagge::new(resolution, visagge))),
+            MapperKind::Paper => Grid::Visagge(Box::new(Visagge::as_in_the_paper(resolution, visagge))),
+            MapperKind::Standard => Grid::Standard(Standard::new(resolution, visagge.range_max)),
+        }
+    }
+
+    /// Inserts one scan.
+    pub fn insert(&mut self, sweep: &Sweep) {
+        match self {
+            Grid::Visagge(grid) => grid.insert(sweep),
+            Grid::Standard(grid) => grid.insert(sweep),
+        }
+    }
+
+    /// The map as it is now.
+    pub fn map(&mut self) -> Map {
+        match self {
+            Grid::Visagge(grid) => grid.map(),
+            Grid::Standard(grid) => grid.map(),
+        }
+    }
+
+    /// Memory that the grid holds (bytes).
+    pub fn bytes(&self) -> usize {
+        match self {
+            Grid::Visagge(grid) => grid.bytes(),
+            Grid::Standard(grid) => grid.bytes(),
+        }
+    }
+}

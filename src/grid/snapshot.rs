@@ -1,0 +1,143 @@
+//! Grids as a rectangle of cells: [`Map`].
+
+use super::{
+    standard::Standard,
+    tiles::{CellIndex, SIDE, TileIndex},
+    visagge::Visagge,
+};
+use crate::map::{Layer, Map, Values};
+
+/// A rectangle of cells that grows out of the cells that were seen.
+struct Frame {
+    low: CellIndex,
+    width: usize,
+    height: usize,
+}
+
+impl Frame {
+    /// The smallest rectangle that holds all cells.
+    fn around(cells: impl Iterator<Item = CellIndex>) -> Frame {
+        let (low, high) = cells
+            .fold(None, |bounds: Option<(CellIndex, CellIndex)>, cell| {
+                let (low, high) = bounds.unwrap_or((cell, cell));
+                Some((
+                    CellIndex { x: low.x.min(cell.x), y: low.y.min(cell.y) },
+                    CellIndex { x: high.x.max(cell.x), y: high.y.max(cell.y) },
+                ))
+            })
+            .unwrap_or((CellIndex { x: 0, y: 0 }, CellIndex { x: -1, y: -1 }));
+        Frame { low, width: (high.x - low.x + 1) as usize, height: (high.y - low.y + 1) as usize }
+    }
+
+    fn place(&self, cell: CellIndex) -> usize {
+        (cell.y - self.low.y) as usize * self.width + (cell.x - self.low.x) as usize
+    }
+
+    fn area(&self) -> usize {
+        self.width * self.height
+    }
+
+    fn map(&self, resolution: f64) -> Map {
+        Map {
+            resolution,
+            origin: [f64::from(self.low.x) * resolution, f64::from(self.low.y) * resolution],
+            width: self.width,
+            height: self.height,
+            occupancy: vec![-1; self.area()],
+            visibility: vec![-1; self.area()],
+            layers: Vec::new(),
+        }
+    }
+}
+
+impl Visagge {
+    /// The map as it is now.
+    pub fn map(&mut self) -> Map {
+        self.judge();
+        let free = |place: TileIndex, rows: &[u64; SIDE as usize]| {
+            let rows = *rows;
+            (0..SIDE as usize).flat_map(move |row| {
+                (0..SIDE as usize)
+                    .filter(move |column| rows[row] >> column & 1 == 1)
+                    .map(move |column| place.cell(column, row))
+            })
+        };
+        let crossed = || self.tiles.iter().flat_map(move |(place, tile)| free(place, &tile.free));
+        let frame = Frame::around(crossed().chain(self.cells().map(|(index, _)| index)));
+        let mut map = frame.map(self.resolution);
+        for cell in crossed() {
+            map.occupancy[frame.place(cell)] = 0;
+        }
+        let mut bytes = ["occupancy_count", "passes", "verdict"].map(|name| (name, vec![0u8; frame.area()]));
+        let mut words = [
+            "hits",
+            "visible_start",
+            "visible_width",
+            "visible_too_start",
+            "visible_too_width",
+            "missed_width",
+        ]
+        .map(|name| (name, vec![0u16; frame.area()]));
+        for (index, cell) in self.cells() {
+            let place = frame.place(index);
+            if cell.verdict.is_shown() {
+                map.occupancy[place] = 100;
+                map.visibility[place] = narrowness(cell.visible.range.width);
+            }
+            for ((_, layer), value) in bytes.iter_mut().zip([cell.occupancy, cell.passes, cell.verdict as u8])
+            {
+                layer[place] = value;
+            }
+            let too = (cell.visible_too.way >= 0.0).then_some(cell.visible_too.range).unwrap_or_default();
+            let values = [
+                cell.hits,
+                cell.visible.range.start.0,
+                cell.visible.range.width,
+                too.start.0,
+                too.width,
+                cell.widest_missed,
+            ];
+            for ((_, layer), value) in words.iter_mut().zip(values) {
+                layer[place] = value;
+            }
+        }
+        map.layers.extend(bytes.map(|(name, values)| Layer { name, values: Values::U8(values) }));
+        map.layers.extend(words.map(|(name, values)| Layer { name, values: Values::U16(values) }));
+        map
+    }
+
+    /// Memory that the grid holds (bytes).
+    pub fn bytes(&self) -> usize {
+        self.tiles
+            .iter()
+            .map(|(_, tile)| {
+                size_of_val(tile) + tile.evidence.as_ref().map_or(0, |evidence| evidence.bytes())
+            })
+            .sum()
+    }
+}
+
+/// How narrow a view is: 100 a single direction, 0 a quarter turn and more.
+fn narrowness(width: u16) -> i8 {
+    let quarter = 1 << 14;
+    (100 - i32::from(width.min(quarter)) * 100 / i32::from(quarter)) as i8
+}
+
+impl Standard {
+    /// The map as it is now.
+    pub fn map(&self) -> Map {
+        let frame = Frame::around(self.cells().map(|(cell, ..)| cell));
+        let mut map = frame.map(self.resolution());
+        let mut log_odds = vec![0.0; frame.area()];
+        for (cell, occupied, odds) in self.cells() {
+            let place = frame.place(cell);
+            map.occupancy[place] = if occupied { 100 } else { 0 };
+            if occupied {
+                map.visibility[place] = 0;
+            }
+            log_odds[place] = odds;
+        }
+        map.layers.push(Layer { name: "log_odds", values: Values::F32(log_odds) });
+        map
+    }
+}

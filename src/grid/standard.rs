@@ -1,0 +1,164 @@
+//! The standard occupancy grid, for comparison: log odds along every ray (Thrun, Probabilistic Robotics,
+//! table 9.2), which assumes that whatever is there is seen from everywhere.
+
+use super::{
+    sweep::Sweep,
+    tiles::{CellIndex, SIDE, Tiles},
+};
+
+/// Log odds, in hundredths, that a return adds: probability 0.7.
+const HIT: i16 = 85;
+/// Log odds that a beam takes from each cell it crosses: probability 0.4.
+const CROSSED: i16 = -41;
+/// The log odds stay within these bounds: probability 0.97.
+const BOUND: i16 = 350;
+/// Cells above this are occupied: probability 0.65, as nav2's map server has it.
+const OCCUPIED: i16 = 62;
+
+const CELLS: usize = (SIDE * SIDE) as usize;
+
+/// One tile: log odds in hundredths, and whether each cell was ever updated.
+#[derive(Clone, Debug)]
+struct Tile {
+    odds: Box<[i16; CELLS]>,
+    known: [u64; SIDE as usize],
+}
+
+impl Default for Tile {
+    fn default() -> Self {
+        Tile { odds: Box::new([0; CELLS]), known: [0; SIDE as usize] }
+    }
+}
+
+/// The grid.
+#[derive(Debug)]
+pub struct Standard {
+    resolution: f64,
+    range_max: f64,
+    tiles: Tiles<Tile>,
+    /// The cells of the current scan, a hit before a miss, each cell once a scan.
+    updated: std::collections::HashSet<CellIndex>,
+}
+
+impl Standard {
+    /// An empty grid of this resolution (m) that uses returns up to `range_max` (m).
+    pub fn new(resolution: f64, range_max: f64) -> Standard {
+        Standard { resolution, range_max, tiles: Tiles::default(), updated: Default::default() }
+    }
+
+    /// Inserts one scan: every cell with a return is more likely occupied, every cell before it free.
+    pub fn insert(&mut self, sweep: &Sweep) {
+        self.updated.clear();
+        let returns = |range: f32| range > 0.0 && f64::from(range) <= self.range_max;
+        let ends: Vec<_> = sweep
+            .beams()
+            .zip(&sweep.scan.ranges)
+            .filter(|(_, range)| returns(**range))
+            .map(|((origin, direction), &range)| {
+                let end = origin + direction * f64::from(range);
+                (
+                    CellIndex::of(origin.x, origin.y, self.resolution),
+                    CellIndex::of(end.x, end.y, self.resolution),
+                )
+            })
+            .collect();
+        for &(_, end) in &ends {
+            self.update(end, HIT);
+        }
+        for (start, end) in ends {
+            walk(start, end, |cell| self.update(cell, CROSSED));
+        }
+    }
+
+    fn update(&mut self, cell: CellIndex, change: i16) {
+        if !self.updated.insert(cell) {
+            return;
+        }
+        let (place, column, row) = cell.split();
+        let number = self.tiles.find_or_make(place);
+        let tile = self.tiles.at_mut(number);
+        let odds = &mut tile.odds[row * SIDE as usize + column];
+        *odds = (*odds + change).clamp(-BOUND, BOUND);
+        tile.known[row] |= 1 << column;
+    }
+
+    /// Side of a cell (m).
+    pub(super) fn resolution(&self) -> f64 {
+        self.resolution
+    }
+
+    /// Memory that the grid holds (bytes).
+    pub fn bytes(&self) -> usize {
+        self.tiles.len() * (size_of::<Tile>() + CELLS * size_of::<i16>())
+    }
+
+    /// All cells that were updated, and whether each is occupied.
+    pub(super) fn cells(&self) -> impl Iterator<Item = (CellIndex, bool, f32)> {
+        self.tiles.iter().flat_map(|(place, tile)| {
+            (0..CELLS).filter_map(move |i| {
+                let (row, column) = (i / SIDE as usize, i % SIDE as usize);
+                let odds = tile.odds[i];
+                (tile.known[row] >> column & 1 == 1)
+                    .then(|| (place.cell(column, row), odds > OCCUPIED, f32::from(odds) / 100.0))
+            })
+        })
+    }
+}
+
+/// Visits the cells from `start` up to but without `end` (Bresenham).
+fn walk(start: CellIndex, end: CellIndex, mut visit: impl FnMut(CellIndex)) {
+    let (dx, dy) = ((end.x - start.x).abs(), -(end.y - start.y).abs());
+    let (sx, sy) = ((end.x - start.x).signum(), (end.y - start.y).signum());
+    let mut error = dx + dy;
+    let mut cell = start;
+    while cell != end {
+        visit(cell);
+        let twice = 2 * error;
+        if twice >= dy {
+            error += dy;
+            cell.x += sx;
+        }
+        if twice <= dx {
+            error += dx;
+            cell.y += sy;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{grid::sweep::tests::half_circle, pose::pose};
+
+    #[test]
+    fn a_wall_is_occupied_and_the_way_to_it_free() {
+        let mut grid = Standard::new(0.5, 30.0);
+        let scan = half_circle(0, vec![f32::NAN, 2.0, f32::INFINITY]);
+        let at = pose(0.25, 0.25, 0.0);
+        grid.insert(&Sweep { scan: &scan, start: at, end: at });
+        let mut cells: Vec<_> = grid.cells().map(|(cell, occupied, _)| (cell.x, cell.y, occupied)).collect();
+        cells.sort_unstable();
+        assert_eq!(cells, [(0, 0, false), (1, 0, false), (2, 0, false), (3, 0, false), (4, 0, true)]);
+    }
+
+    #[test]
+    fn glass_that_is_seen_through_is_lost() {
+        let mut grid = Standard::new(0.5, 30.0);
+        let at = pose(0.25, 0.25, 0.0);
+        for (seq, range) in [2.0, 2.0, 5.0, 5.0, 5.0, 5.0].into_iter().enumerate() {
+            let scan = half_circle(seq as u64, vec![f32::NAN, range, f32::NAN]);
+            grid.insert(&Sweep { scan: &scan, start: at, end: at });
+        }
+        let occupied: Vec<_> = grid.cells().filter(|cell| cell.1).map(|(cell, ..)| cell.x).collect();
+        assert_eq!(occupied, [10]);
+    }
+
+    #[test]
+    fn rays_visit_each_cell_once() {
+        for (x, y) in [(7, 3), (-7, 3), (2, -9), (0, 4), (-5, -5)] {
+            let mut seen = Vec::new();
+            walk(CellIndex { x: 0, y: 0 }, CellIndex { x, y }, |cell| seen.push(cell));
+            assert_eq!(seen.len() as i32, x.abs().max(y.abs()));
+        }
+    }
+}

@@ -1,0 +1,142 @@
+//! Storage that grows with what was seen: square tiles of 64 x 64 cells, found by their place.
+//!
+//! A tile is made when something in it is first written. Nothing is ever allocated for the space between.
+
+use std::collections::HashMap;
+
+/// Cells along a tile's side. 64, so that a row of flags is one word.
+pub const SIDE: i32 = 64;
+
+/// Place of a cell: columns and rows counted from the map frame's origin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct CellIndex {
+    /// Column, growing with x.
+    pub x: i32,
+    /// Row, growing with y.
+    pub y: i32,
+}
+
+impl CellIndex {
+    /// The cell that holds the point (m) in a grid of this resolution (m).
+    pub fn of(x: f64, y: f64, resolution: f64) -> CellIndex {
+        CellIndex { x: (x / resolution).floor() as i32, y: (y / resolution).floor() as i32 }
+    }
+
+    /// Place of the tile that holds the cell, and the cell's column and row in it.
+    pub fn split(self) -> (TileIndex, usize, usize) {
+        let tile = TileIndex { x: self.x >> 6, y: self.y >> 6 };
+        (tile, (self.x & 63) as usize, (self.y & 63) as usize)
+    }
+}
+
+/// Place of a tile: its lower left cell is at 64 times these.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct TileIndex {
+    /// Column of tiles.
+    pub x: i32,
+    /// Row of tiles.
+    pub y: i32,
+}
+
+impl TileIndex {
+    /// The cell in this column and row of the tile.
+    pub fn cell(self, column: usize, row: usize) -> CellIndex {
+        CellIndex { x: self.x * SIDE + column as i32, y: self.y * SIDE + row as i32 }
+    }
+}
+
+/// Tiles by place, kept in the order in which they were made.
+#[derive(Clone, Debug, Default)]
+pub struct Tiles<T> {
+    places: HashMap<TileIndex, u32>,
+    tiles: Vec<(TileIndex, T)>,
+}
+
+impl<T: Default> Tiles<T> {
+    /// Number of the tile at this place, if there is one.
+    pub fn find(&self, place: TileIndex) -> Option<usize> {
+        self.places.get(&place).map(|&number| number as usize)
+    }
+
+    /// Number of the tile at this place; it is made where it was missing.
+    pub fn find_or_make(&mut self, place: TileIndex) -> usize {
+        let next = self.tiles.len() as u32;
+        let number = *self.places.entry(place).or_insert(next);
+        if number == next {
+            self.tiles.push((place, T::default()));
+        }
+        number as usize
+    }
+
+    /// The tile at this place.
+    pub fn get(&self, place: TileIndex) -> Option<&T> {
+        self.find(place).map(|number| &self.tiles[number].1)
+    }
+
+    /// The tile with this number.
+    pub fn at(&self, number: usize) -> &T {
+        &self.tiles[number].1
+    }
+
+    /// The tile with this number.
+    pub fn at_mut(&mut self, number: usize) -> &mut T {
+        &mut self.tiles[number].1
+    }
+
+    /// Place of the tile with this number.
+    pub fn place(&self, number: usize) -> TileIndex {
+        self.tiles[number].0
+    }
+
+    /// How many tiles there are.
+    pub fn len(&self) -> usize {
+        self.tiles.len()
+    }
+
+    /// Whether nothing was ever written.
+    pub fn is_empty(&self) -> bool {
+        self.tiles.is_empty()
+    }
+
+    /// All tiles with their places.
+    pub fn iter(&self) -> impl Iterator<Item = (TileIndex, &T)> {
+        self.tiles.iter().map(|(place, tile)| (*place, tile))
+    }
+
+    /// Lower left and upper right tile of the smallest rectangle that holds all.
+    pub fn bounds(&self) -> Option<(TileIndex, TileIndex)> {
+        let (first, _) = self.tiles.first()?;
+        Some(self.tiles.iter().fold((*first, *first), |(low, high), (place, _)| {
+            (
+                TileIndex { x: low.x.min(place.x), y: low.y.min(place.y) },
+                TileIndex { x: high.x.max(place.x), y: high.y.max(place.y) },
+            )
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_left_of_the_origin_have_their_own_tiles() {
+        let (tile, column, row) = CellIndex::of(-0.01, 3.21, 0.05).split();
+        assert_eq!((tile, column, row), (TileIndex { x: -1, y: 1 }, 63, 0));
+        assert_eq!(tile.cell(column, row), CellIndex { x: -1, y: 64 });
+    }
+
+    #[test]
+    fn only_what_was_written_is_kept() {
+        let mut tiles = Tiles::<u8>::default();
+        assert_eq!(tiles.bounds(), None);
+        let far = TileIndex { x: 1_000, y: -1_000 };
+        let number = tiles.find_or_make(far);
+        *tiles.at_mut(number) = 7;
+        tiles.find_or_make(TileIndex { x: 0, y: 0 });
+        assert_eq!(tiles.find_or_make(far), number);
+        assert_eq!(tiles.len(), 2);
+        assert_eq!(tiles.get(far), Some(&7));
+        assert_eq!(tiles.bounds(), Some((TileIndex { x: 0, y: -1_000 }, TileIndex { x: 1_000, y: 0 })));
+    }
+}
