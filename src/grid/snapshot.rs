@@ -88,7 +88,7 @@ impl Visagge {
             {
                 layer[place] = value;
             }
-            let too = (cell.visible_too.way >= 0.0).then_some(cell.visible_too.range).unwrap_or_default();
+            let too = if cell.visible_too.way >= 0.0 { cell.visible_too.range } else { Default::default() };
             let values = [
                 cell.hits,
                 cell.visible.range.start.0,
