@@ -1,8 +1,9 @@
 //! A simulated Hokuyo scanner: a 2-D world of glass, mirrors, metal and people, what a scanner would measure there,
 //! and a device that serves it as SCIP 2.0. For tests, demos and the measuring of maps.
 //!
-//! - [`world`]: worlds as TOML; [`scene`], [`geometry`], [`drive`]: the same, made ready to be looked at over time.
+//! - [`world`]: worlds as TOML; [`generate`]: more of them from a seed; [`scene`], [`geometry`], [`drive`]: the same, made ready to be looked at over time.
 //! - [`light`]: what a beam brings back. [`simulation`]: a drive in virtual time; [`pose_error`]: its reported poses.
+//! - [`device`]: the SCIP responder, on a pty or TCP in real time; [`pose_message`]: its poses as datagrams.
 //! - [`truth`] and [`score`]: what a map should look like, and how near one comes.
 //!
 //! ```
@@ -14,12 +15,15 @@
 //! # Ok::<(), scipsim::world::WorldError>(())
 //! ```
 
+pub mod device;
 pub mod drive;
+pub mod generate;
 pub mod geometry;
 pub mod light;
 mod noise;
 pub mod picture;
 pub mod pose_error;
+pub mod pose_message;
 pub mod scene;
 pub mod score;
 pub mod simulation;

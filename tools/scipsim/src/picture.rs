@@ -37,3 +37,14 @@ fn colour(truth: &TruthMap, cell: usize) -> [u8; 3] {
         Label::Other => [255, 255, 255],
     }
 }
+
+/// The truth as lines `x,y,label` (middle of the cell, m), of cells that have a label.
+pub fn truth_csv(truth: &TruthMap) -> String {
+    let mut text = String::from("x,y,label\n");
+    for (cell, label) in truth.labels.iter().enumerate().filter(|(_, l)| **l != Label::Other) {
+        let x = truth.origin[0] + ((cell % truth.width) as f64 + 0.5) * truth.resolution;
+        let y = truth.origin[1] + ((cell / truth.width) as f64 + 0.5) * truth.resolution;
+        text.push_str(&format!("{x:.3},{y:.3},{}\n", format!("{label:?}").to_lowercase()));
+    }
+    text
+}
