@@ -151,19 +151,15 @@ pub fn spawn(options: SpawnOptions) -> anyhow::Result<Running> {
         drive_start: AtomicI64::new(NOT_STARTED),
         dropped: AtomicU64::new(0),
     });
+    let may_disconnect = options.device.faults.disconnect > 0.0;
     let (connection, port, link) = match &options.transport {
         Transport::Pty { link } => {
             let (connection, slave) = open_pty().context("cannot open a pty")?;
-            if let Some(link) = link {
-                let is_link = link.symlink_metadata().is_ok_and(|m| m.file_type().is_symlink());
-                if is_link {
-                    std::fs::remove_file(link)
-                        .with_context(|| format!("cannot replace {}", link.display()))?;
-                }
-                std::os::unix::fs::symlink(&slave, link)
-                    .with_context(|| format!("cannot link {} to {}", link.display(), slave.display()))?;
+            let link = link.clone().or_else(|| may_disconnect.then(own_link));
+            if let Some(link) = &link {
+                make_link(&slave, link)?;
             }
-            (connection, Port::Pty(link.clone().unwrap_or(slave)), link.clone())
+            (connection, Port::Pty(link.clone().unwrap_or(slave)), link)
         }
         Transport::Tcp(address) => {
             let listener =
@@ -174,7 +170,8 @@ pub fn spawn(options: SpawnOptions) -> anyhow::Result<Running> {
         }
     };
     let device = Responder::new(options.device.clone(), Arc::clone(&simulation), now_ns());
-    let mut server = Server { device, connection, waiting: Vec::new(), shared: Arc::clone(&shared) };
+    let mut server =
+        Server { device, connection, waiting: Vec::new(), link: link.clone(), shared: Arc::clone(&shared) };
     let mut threads =
         vec![std::thread::Builder::new().name("scipsim-device".into()).spawn(move || server.run())?];
     if let Some(address) = &options.poses_to {
@@ -182,6 +179,22 @@ pub fn spawn(options: SpawnOptions) -> anyhow::Result<Running> {
         threads.push(std::thread::Builder::new().name("scipsim-poses".into()).spawn(move || poses.run())?);
     }
     Ok(Running { port, link, duration_ns: simulation.duration_ns(), shared, simulation, threads })
+}
+
+/// Makes a link to a pty; one that is there already is replaced.
+fn make_link(slave: &Path, link: &Path) -> anyhow::Result<()> {
+    if link.symlink_metadata().is_ok_and(|m| m.file_type().is_symlink()) {
+        std::fs::remove_file(link).with_context(|| format!("cannot replace {}", link.display()))?;
+    }
+    std::os::unix::fs::symlink(slave, link)
+        .with_context(|| format!("cannot link {} to {}", link.display(), slave.display()))
+}
+
+/// A link in the folder for temporary files, for a device that will come back on another pty.
+fn own_link() -> PathBuf {
+    static COUNT: AtomicU64 = AtomicU64::new(0);
+    let number = COUNT.fetch_add(1, Ordering::Relaxed);
+    std::env::temp_dir().join(format!("scipsim-{}-{number}.tty", std::process::id()))
 }
 
 /// A pty, raw, and the path of its other end.
@@ -212,6 +225,8 @@ struct Server {
     connection: Connection,
     /// Bytes that the client has not taken yet.
     waiting: Vec<u8>,
+    /// Link to the pty.
+    link: Option<PathBuf>,
     shared: Arc<Shared>,
 }
 
@@ -310,14 +325,28 @@ impl Server {
         self.device.on_disconnected();
     }
 
+    /// The plug is pulled. A pty hangs up for good, as a ttyACM does; the device comes back on another one, which
+    /// the link then names.
+    fn disconnect(&mut self) {
+        if let (Connection::Pty { .. }, Some(link)) = (&self.connection, &self.link) {
+            match open_pty().and_then(|(connection, slave)| {
+                make_link(&slave, link)?;
+                Ok(connection)
+            }) {
+                Ok(connection) => self.connection = connection,
+                Err(e) => eprintln!("scipsim: the pty stays: {e:#}"),
+            }
+        }
+        self.close();
+    }
+
     fn send(&mut self, output: Output) {
         let has_client = match &self.connection {
             Connection::Pty { is_open, .. } => *is_open,
             Connection::Tcp { stream, .. } => stream.is_some(),
         };
         match output {
-            // On a pty the client cannot be made to see a hang-up; what was on its way is lost, as when a plug slips.
-            Output::Disconnect => self.close(),
+            Output::Disconnect => self.disconnect(),
             Output::Bytes { .. } if !has_client => {}
             Output::Bytes { bytes, is_scan } => {
                 if is_scan && !self.waiting.is_empty() {
