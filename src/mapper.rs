@@ -188,7 +188,7 @@ impl Mapper {
             waiting: VecDeque::new(),
             outcomes: VecDeque::new(),
             last: None,
-            insert_ns: Histogram::new(3).expect("3 digits are within 0..=5"),
+            insert_ns: Histogram::new_with_bounds(1, 60_000_000_000, 3).expect("bounds in order, 3 digits"),
             read: 0,
             inserted: 0,
             skipped: BTreeMap::new(),

@@ -5,6 +5,8 @@
 
 use super::{
     angle::{Angle, AngleRange},
+    surface::Line,
+    tiles::{CellIndex, TileIndex},
     verdict::Verdict,
 };
 
@@ -26,6 +28,8 @@ pub struct Rule {
     pub drift_rate: f32,
     /// The error never exceeds this, however long the way (m): the localization is bounded.
     pub drift_most: f32,
+    /// Scans in a row without a return that tell that nothing is there to return.
+    pub silent_scans: u8,
     /// Whether a second range, apart from the first, is kept.
     pub two_ranges: bool,
 }
@@ -59,6 +63,35 @@ pub struct Visible {
     pub range: AngleRange,
     /// Way driven at its last observation (m).
     pub way: f32,
+    /// Distance of the sensor at the clockwise and at the counter-clockwise end (m).
+    pub ranges: [f32; 2],
+}
+
+impl Visible {
+    fn at(look: &Look) -> Visible {
+        Visible { range: AngleRange::at(look.angle), way: look.way, ranges: [look.range; 2] }
+    }
+
+    fn extend(&mut self, look: &Look) {
+        let before = self.range;
+        self.range.extend(look.angle);
+        self.way = look.way;
+        if self.range.start != before.start {
+            self.ranges[0] = look.range;
+        } else if self.range.width != before.width {
+            self.ranges[1] = look.range;
+        }
+    }
+
+    /// Where the sensor was relative to the cell (m), `part` (0..1) of the straight way from one end of the range to the other.
+    pub fn sensor(&self, part: f64) -> [f64; 2] {
+        let end = |width: u16, range: f32| {
+            let bearing = Angle(self.range.start.0.wrapping_add(width)).rad();
+            [f64::from(range) * bearing.cos(), f64::from(range) * bearing.sin()]
+        };
+        let (from, to) = (end(0, self.ranges[0]), end(self.range.width, self.ranges[1]));
+        [from[0] + (to[0] - from[0]) * part, from[1] + (to[1] - from[1]) * part]
+    }
 }
 
 /// A cell with evidence: at least one return landed in it.
@@ -83,14 +116,20 @@ pub struct Cell {
     /// The widest such range apart from `visible`; empty where `way` is negative.
     pub visible_too: Visible,
     /// The current run of observation, if the last look continued it.
-    run: Option<AngleRange>,
+    run: Option<Visible>,
     /// phi_MISS: the range traversed since the cell was last observed or hidden.
     missed: Option<AngleRange>,
+    /// Scans in a row that missed it.
+    missed_scans: u8,
     /// The widest `missed` that it survived.
     pub widest_missed: u16,
     /// Mean place of the returns in the cell (cells, 0..1 each).
     pub centroid: [f32; 2],
-    /// Whether it is shown as occupied, and why, as it was last judged.
+    /// The surface through it and its neighbours, as last judged.
+    pub line: Option<Line>,
+    /// What its shape says of it, as last judged: all of the verdict but whether it is an image.
+    pub shape: Verdict,
+    /// Whether it is shown as occupied, and why, as last judged.
     pub verdict: Verdict,
 }
 
@@ -105,14 +144,22 @@ impl Cell {
             was_crossed,
             hit_scan: 0,
             looked_scan: 0,
-            visible: Visible { range: AngleRange::at(look.angle), way: look.way },
-            visible_too: Visible { range: AngleRange::default(), way: -1.0 },
+            visible: Visible::at(look),
+            visible_too: Visible { way: -1.0, ..Visible::default() },
             run: None,
             missed: None,
+            missed_scans: 0,
             widest_missed: 0,
             centroid: [0.5; 2],
+            line: None,
+            shape: Verdict::None,
             verdict: Verdict::None,
         }
+    }
+
+    /// Its place in the map, in this tile.
+    pub fn index(&self, tile: TileIndex) -> CellIndex {
+        tile.cell(usize::from(self.place[0]), usize::from(self.place[1]))
     }
 
     /// Core step 1: a return at this place in the cell (cells, 0..1).
@@ -133,11 +180,12 @@ impl Cell {
     pub fn record_seen(&mut self, look: &Look, rule: &Rule) {
         let run = match self.run {
             Some(mut run) if self.follows(look) => {
-                run.extend(look.angle);
+                run.extend(look);
                 run
             }
-            _ => AngleRange::at(look.angle),
+            _ => Visible::at(look),
         };
+        self.missed_scans = 0;
         if let Some(missed) = self.missed.take() {
             let again = self.visible.range.depth(AngleRange::at(look.angle), 2 * rule.half_beam) > 0;
             let moved_away = missed.width as i32 > rule.explained(look.way - self.visible.way, look.range);
@@ -147,22 +195,28 @@ impl Cell {
         }
         self.run = Some(run);
         self.looked_scan = look.scan;
-        let now = Visible { range: run, way: look.way };
-        if run.depth(self.visible.range, rule.half_beam) > 0 || !rule.two_ranges {
-            if run.width >= self.visible.range.width {
-                self.visible = now;
+        let width = run.range.width;
+        if run.range.depth(self.visible.range, rule.half_beam) > 0 || !rule.two_ranges {
+            if width >= self.visible.range.width {
+                self.visible = run;
             }
-        } else if self.visible_too.way < 0.0 || run.width >= self.visible_too.range.width {
-            self.visible_too = now;
-            if run.width > self.visible.range.width {
+        } else if self.visible_too.way < 0.0 || width >= self.visible_too.range.width {
+            self.visible_too = run;
+            if width > self.visible.range.width {
                 std::mem::swap(&mut self.visible, &mut self.visible_too);
             }
         }
     }
 
-    /// Core steps 3 and 4: the beams went past. Returns whether that contradicts what was observed
+    /// Whether the cell, were it still there, would return something over this distance (m): it was seen from
+    /// as far. What is seen of glass from near, off its normal, is too faint farther away.
+    pub fn would_return(&self, range: f32) -> bool {
+        range <= 1.1 * self.visible.ranges[0].min(self.visible.ranges[1])
+    }
+
+    /// Core steps 3 and 4: the beams went past; `silent`, they returned nothing at all. Returns whether that contradicts what was observed
     /// before; the occupancy is then lower, and at 0 the cell must be removed (step 5).
-    pub fn record_missed(&mut self, look: &Look, rule: &Rule) -> bool {
+    pub fn record_missed(&mut self, look: &Look, silent: bool, rule: &Rule) -> bool {
         self.run = None;
         let missed = match self.missed {
             Some(mut missed) if self.follows(look) => {
@@ -172,7 +226,11 @@ impl Cell {
             _ => AngleRange::at(look.angle),
         };
         self.missed = Some(missed);
+        self.missed_scans = if self.follows(look) { self.missed_scans.saturating_add(1) } else { 1 };
         self.looked_scan = look.scan;
+        if silent && self.missed_scans < rule.silent_scans {
+            return false;
+        }
         let contradicts = |visible: &Visible| {
             let depth = visible.range.depth(missed, rule.half_beam);
             depth > 0 && depth > rule.explained(look.way - visible.way, look.range)
@@ -220,6 +278,7 @@ mod tests {
         drift_least: 0.002,
         drift_rate: 0.03,
         drift_most: 0.06,
+        silent_scans: 20,
         two_ranges: true,
     };
 
@@ -251,7 +310,7 @@ mod tests {
                     self.cell.record_hit([0.5, 0.5], &look, &RULE);
                     self.cell.record_seen(&look, &RULE);
                 } else {
-                    contradictions += u32::from(self.cell.record_missed(&look, &RULE));
+                    contradictions += u32::from(self.cell.record_missed(&look, false, &RULE));
                 }
                 degrees += step;
             }
@@ -288,7 +347,7 @@ mod tests {
                 drive.cell.record_hit([0.5, 0.5], &look, &RULE);
                 drive.cell.record_seen(&look, &RULE);
             } else {
-                assert!(drive.cell.record_missed(&look, &RULE));
+                assert!(drive.cell.record_missed(&look, false, &RULE));
             }
         }
         assert_eq!(drive.cell.occupancy, 0);
@@ -319,7 +378,7 @@ mod tests {
             if degrees.rem_euclid(2) == 0 {
                 drive.cell.record_hidden();
             } else if !(-4..=6).contains(&degrees) {
-                assert!(!drive.cell.record_missed(&look, &RULE));
+                assert!(!drive.cell.record_missed(&look, false, &RULE));
             }
         }
         assert!(drive.cell.widest_missed <= 1);

@@ -3,8 +3,10 @@
 pub mod angle;
 pub mod cell;
 pub mod free;
+mod reflection;
 mod snapshot;
 pub mod standard;
+pub mod surface;
 pub mod sweep;
 pub mod tiles;
 pub mod verdict;

@@ -16,8 +16,6 @@ pub struct Tolerance {
     pub across: f64,
     /// How far the scan may be turned (rad).
     pub heading: f64,
-    /// Up to this distance a beam that returned nothing would have returned from any surface (m).
-    pub no_return: f64,
 }
 
 /// What a scan says of a cell (paper IV-B).
@@ -27,6 +25,8 @@ pub enum Observation {
     Seen,
     /// All beams that could have met it went past.
     Missed,
+    /// The same, but some of them returned nothing at all, so that it takes more of them to be sure.
+    Silent,
     /// Something nearer returned, or the beam says nothing this far out.
     Hidden,
     /// Too near to the outline of the scan to tell.
@@ -60,6 +60,8 @@ pub struct View {
     returned: Vec<f32>,
     /// `clear[level][k]`: how far the beams k..k+2^level are all known to be free (m).
     clear: [Vec<f32>; LEVELS + 1],
+    /// The same if beams without return had met nothing however far.
+    empty: [Vec<f32>; LEVELS + 1],
     /// `reach[level][k]`: how far any of these beams says something (m).
     reach: [Vec<f32>; LEVELS + 1],
     farthest: f32,
@@ -67,7 +69,7 @@ pub struct View {
 
 impl View {
     /// Takes over a scan. `far` is the longest distance that counts as a measurement (m).
-    pub fn load(&mut self, sweep: &Sweep, tolerance: &Tolerance, far: f64) {
+    pub fn load(&mut self, sweep: &Sweep, far: f64) {
         let shift = sweep.shift();
         self.middle = [sweep.middle().x, sweep.middle().y];
         self.first_bearing = sweep.first_bearing() as f32;
@@ -76,22 +78,27 @@ impl View {
         self.count = sweep.len();
         self.returned.clear();
         self.clear[0].clear();
+        self.empty[0].clear();
         for &range in &sweep.scan.ranges {
             let valid = range.is_finite() && range <= far as f32;
             self.returned.push(if valid { range } else { f32::NAN });
-            self.clear[0].push(if valid {
-                range
+            let (clear, empty) = if valid {
+                (range, range)
             } else if range == f32::INFINITY || range > far as f32 {
-                tolerance.no_return as f32
+                (0.0, far as f32)
             } else {
-                0.0
-            });
+                (0.0, 0.0)
+            };
+            self.clear[0].push(clear);
+            self.empty[0].push(empty);
         }
         let (first, others) = self.reach.split_first_mut().expect("there is a level 0");
-        first.clone_from(&self.clear[0]);
+        first.clone_from(&self.empty[0]);
         self.farthest = first.iter().copied().fold(0.0, f32::max);
         double(first, others, f32::max);
         let (first, others) = self.clear.split_first_mut().expect("there is a level 0");
+        double(first, others, f32::min);
+        let (first, others) = self.empty.split_first_mut().expect("there is a level 0");
         double(first, others, f32::min);
     }
 
@@ -100,9 +107,10 @@ impl View {
         self.farthest
     }
 
-    /// How far each beam is known to be free (m).
-    pub fn free_ranges(&self) -> impl Iterator<Item = f32> {
-        self.clear[0].iter().copied()
+    /// How far each beam is known to be free (m); `silent`, where it returned nothing.
+    pub fn free_ranges(&self, silent: f32) -> impl Iterator<Item = f32> {
+        let both = self.clear[0].iter().zip(&self.empty[0]);
+        both.map(move |(&clear, &empty)| if clear < empty { silent } else { clear })
     }
 
     /// Where the sensor was in the middle of the scan (m).
@@ -130,12 +138,18 @@ impl View {
     }
 
     /// What the scan says of the cell with this sight (paper IV-B; the margins are in [`Tolerance`]).
-    pub fn observe(&self, sight: &Sight, tolerance: &Tolerance) -> Observation {
+    ///
+    /// `would_return`: from this far, the cell is known to return something.
+    pub fn observe(&self, sight: &Sight, would_return: bool, tolerance: &Tolerance) -> Observation {
         let (range, along) = (sight.range, tolerance.along as f32);
         let half_cell = tolerance.resolution as f32 / 2.0;
         let half_wide = (half_cell + tolerance.across as f32) / range + tolerance.heading as f32;
-        if self.clear_over(sight.beam, half_wide) > range + along {
+        let wide = self.window(sight.beam, half_wide);
+        if lookup(&self.clear, wide, f32::min) > range + along {
             return Observation::Missed;
+        }
+        if would_return && lookup(&self.empty, wide, f32::min) > range + along {
+            return Observation::Silent;
         }
         let window = self.window(sight.beam, half_cell / range);
         if self.returned[window.0..window.1].iter().any(|returned| (returned - range).abs() <= along) {
@@ -145,11 +159,6 @@ impl View {
         } else {
             Observation::Unsure
         }
-    }
-
-    /// How far all beams within `half` (rad) of a bearing are free (m).
-    fn clear_over(&self, beam: f32, half: f32) -> f32 {
-        lookup(&self.clear, self.window(beam, half), f32::min)
     }
 
     /// How far the beams between two bearings (in beams, any order) say anything (m).
@@ -207,22 +216,17 @@ mod tests {
     use proptest::prelude::*;
     use std::f64::consts::{FRAC_PI_2, PI};
 
-    const TOLERANCE: Tolerance =
-        Tolerance { resolution: 0.05, along: 0.07, across: 0.02, heading: 0.0035, no_return: 5.0 };
+    const TOLERANCE: Tolerance = Tolerance { resolution: 0.05, along: 0.07, across: 0.02, heading: 0.0035 };
 
     fn view(ranges: Vec<f32>) -> View {
         let scan = half_circle(0, ranges);
         let mut view = View::default();
-        view.load(
-            &Sweep { scan: &scan, start: pose(0.0, 0.0, 0.0), end: pose(0.0, 0.0, 0.0) },
-            &TOLERANCE,
-            30.0,
-        );
+        view.load(&Sweep { scan: &scan, start: pose(0.0, 0.0, 0.0), end: pose(0.0, 0.0, 0.0) }, 30.0);
         view
     }
 
     fn observe(view: &View, x: f64, y: f64) -> Option<Observation> {
-        view.sight(x, y).map(|sight| view.observe(&sight, &TOLERANCE))
+        view.sight(x, y).map(|sight| view.observe(&sight, sight.range < 12.0, &TOLERANCE))
     }
 
     #[test]
@@ -245,10 +249,10 @@ mod tests {
     }
 
     #[test]
-    fn a_beam_without_return_misses_only_what_is_near() {
+    fn a_beam_without_return_is_no_sure_miss() {
         let view = view(vec![f32::INFINITY; 721]);
-        assert_eq!(observe(&view, 2.0, 0.0), Some(Observation::Missed));
-        assert_eq!(observe(&view, 10.0, 0.0), Some(Observation::Hidden));
+        assert_eq!(observe(&view, 10.0, 0.0), Some(Observation::Silent), "what would return from there");
+        assert_eq!(observe(&view, 15.0, 0.0), Some(Observation::Hidden), "what would perhaps not");
     }
 
     #[test]
@@ -263,7 +267,7 @@ mod tests {
         let scan = half_circle(0, vec![10.0; 181]);
         let sweep = Sweep { scan: &scan, start: pose(0.0, 0.0, 0.0), end: pose(0.04, 0.02, 0.05) };
         let mut view = View::default();
-        view.load(&sweep, &TOLERANCE, 30.0);
+        view.load(&sweep, 30.0);
         for (number, (origin, direction)) in sweep.beams().enumerate() {
             let point = origin + direction * 2.0;
             let sight = view.sight(point.x, point.y).unwrap();
@@ -281,7 +285,7 @@ mod tests {
             let (low, high) = view.window(beam, half);
             prop_assume!(high - low <= 1 << (LEVELS + 1));
             let expected = ranges[low..high].iter().copied().fold(f32::MAX, f32::min);
-            prop_assert_eq!(view.clear_over(beam, half), expected);
+            prop_assert_eq!(lookup(&view.clear, (low, high), f32::min), expected);
             let expected = ranges[low..high].iter().copied().fold(0.0, f32::max);
             prop_assert_eq!(view.reach_between(beam, half), expected);
         }

@@ -66,7 +66,6 @@ impl VisaggeSettings {
             along: resolution * SQRT_2 / 2.0 + 2.0 * self.range_sigma + self.position_sigma,
             across: SQRT_2 * self.position_sigma,
             heading: self.heading_sigma,
-            no_return: self.no_return_range,
         }
     }
 
@@ -79,6 +78,8 @@ impl VisaggeSettings {
             drift_rate: self.drift as f32,
             // Two independent errors, three standard deviations.
             drift_most: (3.0 * SQRT_2 * self.position_sigma) as f32,
+            // A surface at grazing incidence still returns three times in ten.
+            silent_scans: 20,
             two_ranges: self.two_ranges,
         }
     }
@@ -92,13 +93,20 @@ const NONE: u16 = u16::MAX;
 pub(super) struct Evidence {
     slots: Box<[u16; (SIDE * SIDE) as usize]>,
     pub(super) cells: Vec<Cell>,
+    /// A bit for each cell that is shown unless it is an image, a word a row.
+    pub(super) shown: [u64; SIDE as usize],
     /// Whether anything changed since the verdict on the tile.
     pub(super) changed: bool,
 }
 
 impl Default for Evidence {
     fn default() -> Self {
-        Evidence { slots: Box::new([NONE; (SIDE * SIDE) as usize]), cells: Vec::new(), changed: false }
+        Evidence {
+            slots: Box::new([NONE; (SIDE * SIDE) as usize]),
+            cells: Vec::new(),
+            shown: [0; SIDE as usize],
+            changed: false,
+        }
     }
 }
 
@@ -110,6 +118,13 @@ impl Evidence {
             self.cells.push(make());
         }
         &mut self.cells[usize::from(*slot)]
+    }
+
+    /// The cell in this column and row, if it is shown unless it is an image.
+    pub(super) fn shown_at(&self, column: usize, row: usize) -> Option<&Cell> {
+        let shown = self.shown[row] >> column & 1 == 1;
+        let slot = || usize::from(self.slots[slot([column as u8, row as u8])]);
+        if shown { self.cells.get(slot()) } else { None }
     }
 
     /// Memory beside the tile itself (bytes).
@@ -125,6 +140,7 @@ impl Evidence {
                 continue;
             }
             self.slots[slot(cell.place)] = NONE;
+            self.shown[usize::from(cell.place[1])] &= !(1 << cell.place[0]);
             self.cells.swap_remove(number);
             if let Some(moved) = self.cells.get(number) {
                 self.slots[slot(moved.place)] = number as u16;
@@ -214,7 +230,7 @@ impl Visagge {
             self.way += (middle[0] - before[0]).hypot(middle[1] - before[1]) as f32;
         }
         self.middle = Some(middle);
-        self.view.load(sweep, &self.tolerance, self.settings.range_max);
+        self.view.load(sweep, self.settings.range_max);
     }
 
     fn look(&self, angle: super::angle::Angle, range: f32) -> Look {
@@ -264,7 +280,7 @@ impl Visagge {
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("tested above");
             let mut removed = false;
             for cell in &mut evidence.cells {
-                let index = place.cell(usize::from(cell.place[0]), usize::from(cell.place[1]));
+                let index = cell.index(place);
                 let at = |index: i32| (f64::from(index) + 0.5) * resolution;
                 let Some(sight) = view.sight(at(index.x), at(index.y)) else {
                     cell.record_hidden();
@@ -275,10 +291,10 @@ impl Visagge {
                     cell.record_seen(&look, rule);
                     continue;
                 }
-                match view.observe(&sight, tolerance) {
+                match view.observe(&sight, cell.would_return(sight.range), tolerance) {
                     Observation::Seen => cell.record_seen(&look, rule),
-                    Observation::Missed => {
-                        cell.record_missed(&look, rule);
+                    observed @ (Observation::Missed | Observation::Silent) => {
+                        cell.record_missed(&look, observed == Observation::Silent, rule);
                         removed |= cell.occupancy == 0;
                     }
                     Observation::Hidden => cell.record_hidden(),
@@ -322,7 +338,9 @@ impl Visagge {
             )
         };
         self.outline.clear();
-        for ((origin, direction), clear) in sweep.beams().zip(self.view.free_ranges()) {
+        for ((origin, direction), clear) in
+            sweep.beams().zip(self.view.free_ranges(self.settings.no_return_range as f32))
+        {
             let free = (f64::from(clear) - self.tolerance.along).max(0.0);
             let (x, y) = local(origin + direction * free);
             self.outline.push(x, y);
@@ -356,7 +374,7 @@ impl Visagge {
         let high = CellIndex::of(x + radius, y + radius, self.resolution);
         let resolution = self.resolution;
         let within = |place: TileIndex, cell: &Cell| {
-            let index = place.cell(usize::from(cell.place[0]), usize::from(cell.place[1]));
+            let index = cell.index(place);
             let at = |index: i32| (f64::from(index) + 0.5) * resolution;
             (at(index.x) - x).hypot(at(index.y) - y) <= radius
         };

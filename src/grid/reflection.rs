@@ -1,0 +1,204 @@
+//! Images: what is seen in a mirror, in polished metal, or reflected by glass, stands elsewhere.
+//!
+//! The line of sight to an image crosses the surface that reflects it. Mirrored at that surface, the image
+//! falls on what it is an image of: a mapped cell, or the robot itself (paper IV-B.2 looks only at beams through surfaces
+//! that are mapped already; this looks back, since an image is often mapped before its mirror is, which is seen only near
+//! its normal).
+
+use super::{
+    angle::{Angle, AngleRange, units},
+    cell::Cell,
+    tiles::{CellIndex, TileIndex},
+    visagge::{Evidence, Visagge},
+};
+use std::collections::HashMap;
+
+/// Parts of the range of view angles from which the line of sight is looked at, the most telling first. The very ends look
+/// past the edges of the surface that reflects, where a cell's error decides.
+const OBSERVERS: [f64; 5] = [0.5, 0.3, 0.7, 0.1, 0.9];
+/// How many of these need not be explained: surfaces are mapped with gaps.
+const GAPS: usize = 1;
+/// What is crossed this near to the cell is the surface that the cell is part of (m).
+const CLEAR_OF_CELL: f64 = 0.3;
+/// What is crossed this near to the sensor is the robot (m).
+const CLEAR_OF_SENSOR: f64 = 0.2;
+/// The robot's body reaches this far from the sensor (m): half a wheelchair and its footrest.
+const BODY: f64 = 0.6;
+/// How exactly an image is known (m): a cell and the noise of two poses.
+const PLACE: f64 = 0.1;
+/// How exactly the direction of the reflecting surface is known (rad).
+const DIRECTION: f64 = 0.02;
+/// A surface that was always seen from within this of a direction (rad) was not seen through. 3 degrees: the error of a view
+/// angle at 1 m.
+const INSIDE: f64 = 0.05;
+/// Widest search around the mirrored point (m).
+const WIDEST: f64 = 0.3;
+
+/// Half the side of the blocks in which surfaces are told to be opaque or not (cells).
+const BLOCK: i32 = 16;
+/// Share of what is seen through a surface, beyond what glass can reflect, that must be explained for the surface to
+/// be opaque. In front of a mirror nearly everything is, short of what was never seen directly.
+const OPAQUE: f32 = 0.75;
+/// Distance at which the scanner sees a good target (m). UTM-30LX: 30, which a target of albedo 0.9 returns.
+const SEES: f64 = 30.0;
+
+/// How a cell may be an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Image {
+    /// Not seen through any surface.
+    No,
+    /// Seen through a surface, and nothing mirrored explains it.
+    Unexplained(Block),
+    /// Explained, but glass would not reflect that much: only an opaque surface there.
+    IfOpaque(Block),
+    /// Explained, in any surface.
+    Yes,
+}
+
+/// A block of cells.
+pub(super) type Block = (i32, i32);
+
+/// What is seen through the surfaces in each block: how much of it is explained, and all of it.
+#[derive(Debug, Default)]
+pub(super) struct Opacity {
+    votes: HashMap<Block, (u32, u32)>,
+}
+
+impl Opacity {
+    /// Counts what was found of a cell.
+    pub(super) fn vote(&mut self, image: Image) {
+        let (block, explained) = match image {
+            Image::No | Image::Yes => return,
+            Image::Unexplained(block) => (block, 0),
+            Image::IfOpaque(block) => (block, 1),
+        };
+        let votes = self.votes.entry(block).or_default();
+        *votes = (votes.0 + explained, votes.1 + 1);
+    }
+
+    /// Whether the surface in the block, with its neighbours, reflects all that is seen through it.
+    fn is_opaque(&self, (x, y): Block) -> bool {
+        let (explained, all) = (-2..=2)
+            .flat_map(|dy| (-2..=2).map(move |dx| (x + dx, y + dy)))
+            .filter_map(|block| self.votes.get(&block))
+            .fold((0, 0), |sum, votes| (sum.0 + votes.0, sum.1 + votes.1));
+        explained as f32 >= OPAQUE * all as f32
+    }
+
+    /// The verdict.
+    pub(super) fn is_image(&self, image: Image) -> bool {
+        match image {
+            Image::No | Image::Unexplained(_) => false,
+            Image::IfOpaque(block) => self.is_opaque(block),
+            Image::Yes => true,
+        }
+    }
+}
+
+/// Whether a cell is explained as an image from everywhere it was seen.
+pub(super) fn image(grid: &Visagge, place: TileIndex, cell: &Cell) -> Image {
+    let index = cell.index(place);
+    let at = |index: i32| (f64::from(index) + 0.5) * grid.resolution;
+    let point = [at(index.x), at(index.y)];
+    let mut image = Image::Yes;
+    let mut unexplained = 0;
+    for part in OBSERVERS {
+        let [x, y] = cell.visible.sensor(part);
+        match explained(grid, point, [point[0] + x, point[1] + y], x.hypot(y), y.atan2(x)) {
+            Image::Yes => (),
+            Image::IfOpaque(block) => image = Image::IfOpaque(block),
+            other => {
+                unexplained += 1;
+                if unexplained > GAPS {
+                    return other;
+                }
+            }
+        }
+    }
+    image
+}
+
+/// Whether a surface between sensor and point shows there what is elsewhere.
+fn explained(grid: &Visagge, point: [f64; 2], sensor: [f64; 2], range: f64, bearing: f64) -> Image {
+    let mut image = Image::No;
+    let seen_from = Angle::from_rad(bearing);
+    cross(grid, sensor, point, range, |index, cell, distance| {
+        let Some(line) = &cell.line else { return false };
+        // What was always seen from this direction was not seen through.
+        let inside = cell.visible.range.depth(AngleRange::at(seen_from), 0);
+        if cell.widest_missed == 0 || inside > units(INSIDE) as i32 {
+            return false;
+        }
+        let block = (index.x.div_euclid(BLOCK), index.y.div_euclid(BLOCK));
+        let mirrored = line.mirror(point);
+        let to_sensor = (mirrored[0] - sensor[0]).hypot(mirrored[1] - sensor[1]);
+        let tolerance = (PLACE + 2.0 * DIRECTION * (range - distance)).min(WIDEST);
+        let explains = to_sensor <= BODY + tolerance || grid.is_mapped_near(mirrored, tolerance);
+        let by_glass = range <= SEES * glass_reflects(line.off_normal(bearing));
+        image = match (explains, image) {
+            (true, _) if by_glass => Image::Yes,
+            (true, _) => Image::IfOpaque(block),
+            (false, Image::No) if !by_glass => Image::Unexplained(block),
+            _ => image,
+        };
+        explains
+    });
+    image
+}
+
+/// Share of the light that a pane of glass (index of refraction 1.5, both faces) reflects at an angle of incidence
+/// (rad): Fresnel, unpolarised.
+fn glass_reflects(incidence: f64) -> f64 {
+    let cos = incidence.cos();
+    let cos_inside = (1.0 - (incidence.sin() / 1.5).powi(2)).sqrt();
+    let across = ((cos - 1.5 * cos_inside) / (cos + 1.5 * cos_inside)).powi(2);
+    let along = ((1.5 * cos - cos_inside) / (1.5 * cos + cos_inside)).powi(2);
+    let face = (across + along) / 2.0;
+    2.0 * face / (1.0 + face)
+}
+
+/// Visits the cells on the line of sight that are shown unless they are images, one of each surface, until `visit` returns true.
+fn cross(
+    grid: &Visagge,
+    sensor: [f64; 2],
+    point: [f64; 2],
+    range: f64,
+    mut visit: impl FnMut(CellIndex, &Cell, f64) -> bool,
+) {
+    let resolution = grid.resolution;
+    let step = resolution / 2.0;
+    let direction = [(point[0] - sensor[0]) / range, (point[1] - sensor[1]) / range];
+    let mut distance = CLEAR_OF_SENSOR;
+    let mut recent = (TileIndex { x: i32::MAX, y: i32::MAX }, None::<&Evidence>);
+    while distance < range - CLEAR_OF_CELL {
+        let at = [sensor[0] + direction[0] * distance, sensor[1] + direction[1] * distance];
+        let index = CellIndex::of(at[0], at[1], resolution);
+        let (place, column, row) = index.split();
+        if recent.0 != place {
+            recent = (place, grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref()));
+        }
+        if let Some(cell) = recent.1.and_then(|evidence| evidence.shown_at(column, row))
+            && visit(index, cell, distance)
+        {
+            return;
+        }
+        distance += step;
+    }
+}
+
+impl Visagge {
+    /// Whether a cell that is shown lies within this distance of the point (m).
+    fn is_mapped_near(&self, point: [f64; 2], distance: f64) -> bool {
+        let low = CellIndex::of(point[0] - distance, point[1] - distance, self.resolution);
+        let high = CellIndex::of(point[0] + distance, point[1] + distance, self.resolution);
+        (low.y..=high.y).any(|y| {
+            (low.x..=high.x).any(|x| {
+                let (place, column, row) = CellIndex { x, y }.split();
+                self.tiles
+                    .get(place)
+                    .and_then(|tile| tile.evidence.as_ref())
+                    .is_some_and(|evidence| evidence.shown[row] >> column & 1 == 1)
+            })
+        })
+    }
+}

@@ -1,0 +1,223 @@
+//! The surface that runs through a cell: a line through the returns in its neighbourhood.
+
+use super::{
+    angle::{Angle, units},
+    cell::Cell,
+    tiles::{CellIndex, SIDE, TileIndex},
+    visagge::Visagge,
+};
+use std::f64::consts::{FRAC_PI_2, PI};
+
+/// Cells around a tile whose surfaces reach into it.
+const MARGIN: i32 = 24;
+const WINDOW: i32 = SIDE + 2 * MARGIN;
+/// Half the side of the square in which the first patch is sought (cells).
+const PATCH: i32 = 8;
+/// Half the length of that patch (m).
+const PATCH_HALF: f64 = 0.4;
+/// Depth of the patch (m): what lies farther before or behind is not part of the surface.
+const PATCH_DEPTH: f64 = 0.15;
+/// Neighbours seen from directions farther apart than this are parts of different surfaces (rad).
+/// A pillar of glass of 1 m radius turns by this over the length of the patch.
+const SAME_VIEW: f64 = 0.3;
+/// Most that a flat surface spreads across its line, root mean square (m): cells, ranges and poses.
+const FLAT: f32 = 0.035;
+/// Most cells without evidence that a long surface bridges: a frame, somebody in front.
+const BRIDGE: i32 = 5;
+
+/// A line through a patch of cells.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Line {
+    /// A point on it (m), in the middle of the patch.
+    pub at: [f32; 2],
+    /// Direction of its normal (rad, modulo pi).
+    pub normal: f32,
+    /// Spread across it, root mean square (m).
+    pub rms: f32,
+    /// Length of an even row of points with the same spread along it (m).
+    pub length: f32,
+}
+
+impl Line {
+    /// Whether the patch is as flat as noise allows.
+    pub fn is_flat(&self) -> bool {
+        self.rms <= FLAT
+    }
+
+    /// Angle between the normal and a view (rad, 0..pi/2).
+    pub fn off_normal(&self, seen_from: f64) -> f64 {
+        let off = (f64::from(self.normal) - seen_from).rem_euclid(PI);
+        off.min(PI - off)
+    }
+
+    /// The mirror image of a point (m).
+    pub fn mirror(&self, point: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = f64::from(self.normal).sin_cos();
+        let [x, y] = self.at.map(f64::from);
+        let beyond = (point[0] - x) * cos + (point[1] - y) * sin;
+        [point[0] - 2.0 * beyond * cos, point[1] - 2.0 * beyond * sin]
+    }
+}
+
+/// Weighted moments of points.
+#[derive(Default)]
+struct Moments {
+    sum: f64,
+    mean: [f64; 2],
+    square: [f64; 3],
+}
+
+impl Moments {
+    fn add(&mut self, [x, y]: [f64; 2], weight: f64) {
+        self.sum += weight;
+        self.mean = [self.mean[0] + weight * x, self.mean[1] + weight * y];
+        self.square = [
+            self.square[0] + weight * x * x,
+            self.square[1] + weight * x * y,
+            self.square[2] + weight * y * y,
+        ];
+    }
+
+    /// The line through the points, which were given relative to `origin`.
+    fn line(&self, origin: [f64; 2]) -> Option<Line> {
+        if self.sum <= 0.0 {
+            return None;
+        }
+        let [x, y] = self.mean.map(|mean| mean / self.sum);
+        let [xx, xy, yy] = self.square.map(|square| square / self.sum);
+        let (xx, xy, yy) = (xx - x * x, xy - x * y, yy - y * y);
+        let spread = ((xx - yy) / 2.0).hypot(xy);
+        let along = f64::atan2(2.0 * xy, xx - yy) / 2.0;
+        Some(Line {
+            at: [(origin[0] + x) as f32, (origin[1] + y) as f32],
+            normal: (along + FRAC_PI_2) as f32,
+            rms: ((xx + yy) / 2.0 - spread).max(0.0).sqrt() as f32,
+            length: (12.0 * ((xx + yy) / 2.0 + spread)).sqrt() as f32,
+        })
+    }
+}
+
+/// A cell in or near the tile in work.
+struct Neighbour {
+    at: [f64; 2],
+    seen_from: Angle,
+    weight: f64,
+}
+
+/// The cells with evidence in a tile and around it, found by their place.
+pub struct Window {
+    origin: CellIndex,
+    resolution: f64,
+    slots: Vec<u16>,
+    cells: Vec<Neighbour>,
+}
+
+impl Window {
+    /// The window around a tile.
+    pub(super) fn around(grid: &Visagge, place: TileIndex) -> Window {
+        let corner = place.cell(0, 0);
+        let mut window = Window {
+            origin: CellIndex { x: corner.x - MARGIN, y: corner.y - MARGIN },
+            resolution: grid.resolution,
+            slots: vec![u16::MAX; (WINDOW * WINDOW) as usize],
+            cells: Vec::new(),
+        };
+        for (dx, dy) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))) {
+            let place = TileIndex { x: place.x + dx, y: place.y + dy };
+            let Some(evidence) = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref()) else {
+                continue;
+            };
+            for cell in &evidence.cells {
+                let index = cell.index(place);
+                if let Some(slot) = window.slot(index) {
+                    window.slots[slot] = window.cells.len() as u16;
+                    window.cells.push(Neighbour {
+                        at: window.centroid(index, cell),
+                        seen_from: cell.visible.range.middle(),
+                        weight: f64::from(cell.occupancy.min(4)),
+                    });
+                }
+            }
+        }
+        window
+    }
+
+    /// The surface through a cell, from the cells around it that were seen from about the same direction: the
+    /// patch of 0.8 m, or more of it along the line as far as it stays flat.
+    pub fn surface(&self, index: CellIndex, cell: &Cell) -> Option<Line> {
+        let origin = self.centroid(index, cell);
+        let seen_from = cell.visible.range.middle();
+        let (sin, cos) = seen_from.rad().sin_cos();
+        let mut moments = Moments::default();
+        for neighbour in self.near(index, seen_from) {
+            let to = [neighbour.at[0] - origin[0], neighbour.at[1] - origin[1]];
+            let (depth, across) = (to[0] * cos + to[1] * sin, to[1] * cos - to[0] * sin);
+            if depth.abs() <= PATCH_DEPTH && across.abs() <= PATCH_HALF {
+                moments.add(to, neighbour.weight);
+            }
+        }
+        let patch = moments.line(origin)?;
+        let long = self
+            .lengthened(&patch, origin, seen_from)
+            .filter(|long| long.is_flat() && long.length > patch.length);
+        Some(long.unwrap_or(patch))
+    }
+
+    /// The line through what lies along a patch, on both sides as far as the row does not break off.
+    fn lengthened(&self, patch: &Line, origin: [f64; 2], seen_from: Angle) -> Option<Line> {
+        if !patch.is_flat() {
+            return None;
+        }
+        let (sin, cos) = f64::from(patch.normal).sin_cos();
+        let start = patch.at.map(f64::from);
+        let mut moments = Moments::default();
+        for side in [1, -1] {
+            let mut since = 0;
+            for step in (1 - side.max(0))..=MARGIN {
+                let mut found = false;
+                for depth in -1..=1 {
+                    let along = f64::from(step * side) * self.resolution;
+                    let depth = f64::from(depth) * self.resolution;
+                    let point = [start[0] - sin * along + cos * depth, start[1] + cos * along + sin * depth];
+                    let Some(neighbour) = self.at(CellIndex::of(point[0], point[1], self.resolution)) else {
+                        continue;
+                    };
+                    if neighbour.seen_from.distance(seen_from) <= units(SAME_VIEW) {
+                        moments.add(
+                            [neighbour.at[0] - origin[0], neighbour.at[1] - origin[1]],
+                            neighbour.weight,
+                        );
+                        found = true;
+                    }
+                }
+                since = if found { 0 } else { since + 1 };
+                if since > BRIDGE {
+                    break;
+                }
+            }
+        }
+        moments.line(origin)
+    }
+
+    /// Mean place of a cell's returns (m).
+    fn centroid(&self, index: CellIndex, cell: &Cell) -> [f64; 2] {
+        let [x, y] = cell.centroid.map(f64::from);
+        [(f64::from(index.x) + x) * self.resolution, (f64::from(index.y) + y) * self.resolution]
+    }
+
+    fn slot(&self, index: CellIndex) -> Option<usize> {
+        let (x, y) = (index.x - self.origin.x, index.y - self.origin.y);
+        ((0..WINDOW).contains(&x) && (0..WINDOW).contains(&y)).then_some((y * WINDOW + x) as usize)
+    }
+
+    fn at(&self, index: CellIndex) -> Option<&Neighbour> {
+        self.slot(index).and_then(|slot| self.cells.get(usize::from(self.slots[slot])))
+    }
+
+    fn near(&self, index: CellIndex, seen_from: Angle) -> impl Iterator<Item = &Neighbour> {
+        (-PATCH..=PATCH)
+            .flat_map(|dy| (-PATCH..=PATCH).map(move |dx| (dx, dy)))
+            .filter_map(move |(dx, dy)| self.at(CellIndex { x: index.x + dx, y: index.y + dy }))
+            .filter(move |neighbour| neighbour.seen_from.distance(seen_from) <= units(SAME_VIEW))
+    }
+}
