@@ -1,5 +1,6 @@
 //! SCIP 2.0, the protocol of Hokuyo laser scanners.
 
+mod clock;
 pub mod decoder;
 pub mod device;
 pub mod event;
