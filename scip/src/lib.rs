@@ -13,6 +13,7 @@ pub mod request;
 pub mod scan;
 pub mod session;
 pub mod status;
+pub mod transport;
 
 pub use decoder::{DecodeError, DecodeErrorKind, Decoder, Located};
 pub use device::{Device, Parameters, ParametersError};

@@ -54,6 +54,8 @@ pub struct Patience {
     pub retry_ns: i64,
     /// For a scan while streaming; at least four scan periods are granted.
     pub silence_ns: i64,
+    /// For the first scan after the stream was accepted: the motor may have to spin up.
+    pub first_scan_ns: i64,
     /// For an error that the device verifies (21..49) to be over.
     pub verify_ns: i64,
     /// For stopping in all.
@@ -77,6 +79,7 @@ impl Default for Patience {
             laser_on_ns: 12_000 * MS,
             retry_ns: 500 * MS,
             silence_ns: 1000 * MS,
+            first_scan_ns: 3000 * MS,
             verify_ns: 10_000 * MS,
             stop_ns: 2000 * MS,
             back_off_min_ns: 250 * MS,
