@@ -84,6 +84,8 @@ pub struct Monitor {
     unwrapper: Unwrapper,
     offset: OffsetEstimate,
     last_scan: Option<LastScan>,
+    /// The clock began anew since the last scan.
+    was_reset: bool,
     counting: Rate,
     rate: Option<Rate>,
     events: VecDeque<Event>,
@@ -104,6 +106,7 @@ impl Monitor {
             unwrapper: Unwrapper::default(),
             offset: OffsetEstimate::new(),
             last_scan: None,
+            was_reset: false,
             counting: Rate { received: 0, due: 0, over_ms: 0, is_slow: false },
             rate: None,
             events: VecDeque::new(),
@@ -236,7 +239,7 @@ impl Monitor {
             }
             (Command::TimeEnter, Status::Done, _) => self.offset.begin_rounds(),
             (Command::TimeRead, Status::Done, Body::Time(ms)) => {
-                let (device_ms, _) = self.unwrap(*ms, received_ns);
+                let device_ms = self.unwrap(*ms, received_ns);
                 if let Some(sent_ns) = sent_ns {
                     self.offset.on_round(device_ms, sent_ns, received_ns);
                 }
@@ -265,14 +268,15 @@ impl Monitor {
         }
     }
 
-    fn unwrap(&mut self, stamp_ms: u32, host_ns: i64) -> (i64, Advance) {
+    fn unwrap(&mut self, stamp_ms: u32, host_ns: i64) -> i64 {
         let host_ns = (self.options.clock == ClockSource::Host).then_some(host_ns);
         let (unwrapped_ms, advance) = self.unwrapper.advance(stamp_ms, host_ns);
         if let Advance::Reset { before_ms } = advance {
             self.offset.restart();
+            self.was_reset = true;
             self.events.push_back(Event::ClockReset { before_ms, after_ms: stamp_ms });
         }
-        (unwrapped_ms, advance)
+        unwrapped_ms
     }
 
     fn is_stray(&self, scan: &ScanRequest, request: &Request) -> bool {
@@ -301,17 +305,17 @@ impl Monitor {
             self.events.push_back(Event::StrayScan(scan));
             return;
         }
-        let (unwrapped_ms, advance) = self.unwrap(scan.stamp_ms, first_ns);
-        scan.unwrapped_ms = unwrapped_ms;
-        scan.seq = self.number(&scan, advance);
-        self.offset.on_scan(unwrapped_ms, first_ns);
+        scan.unwrapped_ms = self.unwrap(scan.stamp_ms, first_ns);
+        scan.seq = self.number(&scan);
+        self.offset.on_scan(scan.unwrapped_ms, first_ns);
         scan.stamp_ns = self.stamp_ns(&scan);
         self.events.push_back(Event::Scan(scan));
     }
 
     /// Number of a scan, by the turns that its stamp says went by since the last.
-    fn number(&mut self, scan: &Scan, advance: Advance) -> u64 {
+    fn number(&mut self, scan: &Scan) -> u64 {
         let unwrapped_ms = scan.unwrapped_ms;
+        let was_reset = std::mem::take(&mut self.was_reset);
         let Some(last) = self.last_scan else {
             self.last_scan = Some(LastScan { seq: 0, unwrapped_ms, repeats: 1 });
             return 0;
@@ -322,7 +326,7 @@ impl Monitor {
             None => 1,
         };
         // Nothing is known of the time around a reset; that some is missing is certain.
-        let due = due.max(if matches!(advance, Advance::Reset { .. }) { 2 } else { 1 });
+        let due = due.max(if was_reset { 2 } else { 1 });
         let seq = last.seq + due;
         let repeats = if over_ms == 0 { last.repeats + 1 } else { 1 };
         self.last_scan = Some(LastScan { seq, unwrapped_ms, repeats });
