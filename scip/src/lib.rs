@@ -1,4 +1,104 @@
-//! SCIP 2.0, the protocol of Hokuyo laser scanners.
+//! SCIP 2.0 and 2.2, the protocol of Hokuyo laser scanners (C-42-03320B), in four layers:
+//!
+//! 1. **Codec**: [`Request`], [`Reply`] and the streaming [`Decoder`]. Bytes to checked values and back.
+//!    Replies survive any chunking; after garbage the next reply is found, and what was skipped is said.
+//! 2. **[`Monitor`]**: listens to both directions of a wire. It knows the [`Device`], numbers the scans so
+//!    that lost ones show, and estimates the device's clock. It sends nothing, so it serves replays as well.
+//! 3. **[`Session`]**: drives a device: start-up, endless stream, errors, reconnection, stop. A state
+//!    machine that hears bytes and times and says what to do.
+//! 4. **[`transport`]**: serial ports, TCP, capture files. The only layer with I/O.
+//!
+//! Layers 1 to 3 have no I/O, clock, thread or log. Times are `i64` nanoseconds of the caller's monotonic
+//! clock. Distances stay as they were on the wire (mm, with codes below DMIN), intensities keep their 18
+//! bits; [`Parameters::classify`] says which values are distances, [`Parameters::bearing`] where they point.
+//!
+//! What differs between models stands in a table, [`model::MODELS`]; what a device says of itself in PP
+//! beats it.
+//!
+//! # Reading a captured stream
+//! ```
+//! use scip::{ClockSource, Event, Measurement, Monitor, MonitorOptions, Parameters, model};
+//!
+//! let parameters = model::find("UTM-30LX").and_then(Parameters::of_model);
+//! let mut monitor = Monitor::new(MonitorOptions {
+//!     clock: ClockSource::Device, // the times of arrival are not known
+//!     parameters,                 // the capture has no answer to PP
+//!     ..MonitorOptions::default()
+//! });
+//! monitor.on_received(0, b"GE0540054201\n00P\nBI9YM\n00]0LA00`0Kd00a0L06\n\n");
+//! let Some(Event::Scan(scan)) = monitor.next_event() else { panic!("a scan") };
+//! assert_eq!(scan.distances_mm, [45, 48, 49]);
+//! assert_eq!(scan.intensities, [1809, 1780, 1792]);
+//!
+//! let parameters = monitor.parameters().unwrap();
+//! assert_eq!(parameters.classify(scan.distances_mm[0]), Measurement::Millimetres(45));
+//! assert_eq!(parameters.classify(1), Measurement::NothingInRange);
+//! assert_eq!(parameters.bearing(scan.step(0).into()), 0.0);
+//! ```
+//!
+//! # Driving a device
+//! ```no_run
+//! use std::time::{Duration, Instant};
+//! use scip::transport::{Address, Received, Transport};
+//! use scip::{Action, Event, Session, SessionSettings, State};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let address: Address = "tcp://192.168.0.10:10940".parse()?;
+//! let begun = Instant::now();
+//! let now = || begun.elapsed().as_nanos() as i64;
+//! let settings = SessionSettings { profile: address.profile(), ..SessionSettings::default() };
+//! let mut session = Session::new(settings, now())?;
+//! let mut port: Option<Box<dyn Transport>> = None;
+//! let mut buffer = [0; 64 * 1024];
+//! while session.state() != State::Stopped {
+//!     while let Some(action) = session.next_action() {
+//!         match action {
+//!             Action::Open => match address.open(Duration::from_secs(2)) {
+//!                 Ok(opened) => {
+//!                     port = Some(opened);
+//!                     session.on_opened(now());
+//!                 }
+//!                 Err(error) => {
+//!                     eprintln!("{error}");
+//!                     session.on_closed(now());
+//!                 }
+//!             },
+//!             Action::Send { bytes, .. } => {
+//!                 if port.as_mut().is_some_and(|port| port.write_all(&bytes).is_err()) {
+//!                     port = None;
+//!                     session.on_closed(now());
+//!                 }
+//!             }
+//!             Action::Close => {
+//!                 port = None;
+//!                 session.on_closed(now());
+//!             }
+//!         }
+//!     }
+//!     while let Some(event) = session.next_event() {
+//!         match event {
+//!             Event::Scan(scan) => println!("{} values", scan.distances_mm.len()),
+//!             other => eprintln!("{other}"),
+//!         }
+//!     }
+//!     let wait_ns = session.deadline_ns().map_or(0, |deadline| (deadline - now()).max(0));
+//!     let wait = Duration::from_nanos(wait_ns as u64);
+//!     match port.as_mut().map(|port| port.read(&mut buffer, wait)) {
+//!         Some(Ok(Received::Bytes(count))) => session.on_received(now(), &buffer[..count]),
+//!         Some(Ok(Received::Nothing)) => session.on_time(now()),
+//!         Some(Ok(Received::Closed) | Err(_)) => {
+//!             port = None;
+//!             session.on_closed(now());
+//!         }
+//!         None => {
+//!             std::thread::sleep(wait);
+//!             session.on_time(now());
+//!         }
+//!     }
+//! }
+//! # Ok(())
+//! # }
+//! ```
 
 mod clock;
 pub mod decoder;

@@ -390,3 +390,183 @@ fn turns(over_ms: i64, parameters: &Parameters, skip: u8) -> u64 {
     let turns = (over_ms * i64::from(parameters.rpm) * 2 + minute_ms) / (2 * minute_ms);
     turns.max(0) as u64
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model;
+    use crate::number;
+    use crate::reply::Echo;
+    use crate::request::ScanKind;
+
+    const MS: i64 = 1_000_000;
+
+    fn utm() -> Option<Parameters> {
+        model::find("UTM-30LX").and_then(Parameters::of_model)
+    }
+
+    fn scan_bytes(request: ScanRequest, stamp_ms: u32) -> Vec<u8> {
+        let body = Body::Scan(ScanData { stamp_ms, distances_mm: vec![1000; 3], ..ScanData::default() });
+        let echo = Echo::Request(Command::Scan(request).into());
+        let mut bytes = Vec::new();
+        Reply { echo, status: Status::ScanFollows, body }.emit(&mut bytes);
+        bytes
+    }
+
+    /// Steps 180 to 182 of a stream of distances.
+    fn request(skip: u8) -> ScanRequest {
+        ScanRequest { skip, ..ScanRequest::new(ScanKind::MD, 180, 182) }
+    }
+
+    fn events(monitor: &mut Monitor) -> Vec<Event> {
+        std::iter::from_fn(|| monitor.next_event()).collect()
+    }
+
+    /// Numbers of scans with these stamps.
+    fn numbers(options: MonitorOptions, skip: u8, stamps: &[u32]) -> (Vec<u64>, Vec<Event>) {
+        let mut monitor = Monitor::new(options);
+        for (index, &stamp) in stamps.iter().enumerate() {
+            monitor.on_received(index as i64 * 25 * MS, &scan_bytes(request(skip), stamp));
+        }
+        let (scans, others): (Vec<Event>, Vec<Event>) =
+            events(&mut monitor).into_iter().partition(|event| matches!(event, Event::Scan(_)));
+        let number = |event| match event {
+            Event::Scan(scan) => scan.seq,
+            other => panic!("{other}"),
+        };
+        (scans.into_iter().map(number).collect(), others)
+    }
+
+    fn with_parameters() -> MonitorOptions {
+        MonitorOptions { parameters: utm(), ..MonitorOptions::default() }
+    }
+
+    #[test]
+    fn lost_scans_show_in_the_numbers() {
+        let (seq, others) = numbers(with_parameters(), 0, &[100, 125, 150, 226, 251]);
+        assert_eq!(seq, [0, 1, 2, 5, 6]);
+        assert_eq!(others, [Event::Lost { seq: 5, scans: 2 }]);
+        let (seq, others) = numbers(with_parameters(), 1, &[100, 150, 200, 300]);
+        assert_eq!((seq, others.len()), (vec![0, 1, 2, 4], 1));
+        let (seq, others) = numbers(MonitorOptions::default(), 0, &[100, 125, 500]);
+        assert_eq!((seq, others.len()), (vec![0, 1, 2], 0), "without PP nothing is known of losses");
+    }
+
+    #[test]
+    fn a_wrap_loses_nothing_and_a_reset_does() {
+        let (seq, others) = numbers(with_parameters(), 0, &[16_777_200, 9, 34]);
+        assert_eq!((seq, others.len()), (vec![0, 1, 2], 0));
+        let (seq, others) = numbers(with_parameters(), 0, &[9_000_000, 9_000_025, 10, 35]);
+        assert_eq!(seq, [0, 1, 3, 4]);
+        assert_eq!(others[0], Event::ClockReset { before_ms: 9_000_025, after_ms: 10 });
+    }
+
+    #[test]
+    fn stuck_stamps() {
+        let (seq, others) = numbers(with_parameters(), 0, &[100, 100, 100]);
+        assert_eq!(seq, [0, 1, 2]);
+        let stuck = |scans| Event::StuckStamp { stamp_ms: 100, scans };
+        assert_eq!(others, [stuck(2), stuck(3)]);
+    }
+
+    #[test]
+    fn a_link_that_is_too_slow_is_reported_once() {
+        let stamps: Vec<u32> = (0..400).map(|scan| scan * 50).collect();
+        let (_, others) = numbers(with_parameters(), 0, &stamps);
+        let rates: Vec<_> = others
+            .iter()
+            .filter_map(|event| match event {
+                Event::Rate(rate) => Some(*rate),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(rates, [Rate { received: 80, due: 160, over_ms: 4000, is_slow: true }]);
+    }
+
+    #[test]
+    fn the_first_step_and_the_reference_move_the_stamp() {
+        let stamp = |stamp_reference| {
+            let options = MonitorOptions { clock: ClockSource::Device, stamp_reference, parameters: utm() };
+            let mut monitor = Monitor::new(options);
+            monitor.on_received(0, &scan_bytes(request(0), 100));
+            match monitor.next_event() {
+                Some(Event::Scan(scan)) => scan.stamp_ns,
+                other => panic!("{other:?}"),
+            }
+        };
+        // 180 steps are an eighth of a turn of 25 ms; the rear lies as far before step 0.
+        assert_eq!(stamp(StampReference::Step0), 100 * MS + 3_125_000);
+        assert_eq!(stamp(StampReference::Rear), 100 * MS + 6_250_000);
+    }
+
+    #[test]
+    fn a_reply_carries_the_times_of_its_first_and_last_byte() {
+        let mut monitor = Monitor::new(MonitorOptions::default());
+        let bytes = [scan_bytes(request(0), 100), scan_bytes(request(0), 125)].concat();
+        for (index, byte) in bytes.iter().enumerate() {
+            monitor.on_received(index as i64, &[*byte]);
+        }
+        let half = bytes.len() as i64 / 2;
+        let times: Vec<_> = events(&mut monitor)
+            .into_iter()
+            .map(|event| match event {
+                Event::Scan(scan) => (scan.first_byte_ns, scan.last_byte_ns),
+                other => panic!("{other}"),
+            })
+            .collect();
+        assert_eq!(times, [(0, half - 1), (half, 2 * half - 1)]);
+    }
+
+    #[test]
+    fn only_what_was_asked_for_is_a_scan() {
+        let mut monitor = Monitor::new(MonitorOptions::default());
+        // A client that writes a command and its LF apart.
+        monitor.on_sent(0, b"MD01800182");
+        monitor.on_sent(0, b"00005");
+        monitor.on_sent(0, b"\n");
+        let asked = ScanRequest { cluster: 0, count: 4, ..request(0) };
+        monitor.on_received(1, &scan_bytes(asked, 100));
+        monitor.on_received(2, &scan_bytes(ScanRequest { cluster: 1, ..asked }, 125));
+        let events = events(&mut monitor);
+        assert!(matches!(events[..], [Event::Scan(_), Event::StrayScan(_)]), "{events:?}");
+    }
+
+    #[test]
+    fn a_reply_does_not_go_on_across_a_gap() {
+        let mut monitor = Monitor::new(MonitorOptions::default());
+        let bytes = scan_bytes(request(0), 100);
+        monitor.on_received(0, &bytes[..30]);
+        monitor.on_gap();
+        monitor.on_received(1, &bytes);
+        let events = events(&mut monitor);
+        assert!(matches!(events[..], [Event::Skipped(_), Event::Scan(_)]), "{events:?}");
+    }
+
+    #[test]
+    fn rounds_tie_the_clock() {
+        let mut monitor = Monitor::new(with_parameters());
+        monitor.on_sent(0, b"TM0\n");
+        monitor.on_received(MS, b"TM0\n00P\n\n");
+        for round in 0..5 {
+            let sent_ns = 10 * MS + round * 2 * MS;
+            monitor.on_sent(sent_ns, b"TM1\n");
+            let mut stamp = Vec::new();
+            number::encode(500 + round as u32 * 2, 4, &mut stamp);
+            stamp.push(number::checksum(&stamp));
+            let reply = [b"TM1\n00P\n", &stamp[..], b"\n\n"].concat();
+            monitor.on_received(sent_ns + MS, &reply);
+        }
+        monitor.on_sent(30 * MS, b"TM2\n");
+        monitor.on_received(31 * MS, b"TM2\n00P\n\n");
+        let found = events(&mut monitor).into_iter().find_map(|event| match event {
+            Event::Synchronised(sync) => Some(sync),
+            _ => None,
+        });
+        let want = Synchronisation { rounds: 5, fastest_ns: MS, offset_ns: -490 * MS, uncertainty_ns: MS };
+        assert_eq!(found, Some(want));
+        monitor.on_sent(40 * MS, b"MD0180018201000\n");
+        monitor.on_received(90 * MS, &scan_bytes(request(0), 560));
+        let Some(Event::Scan(scan)) = monitor.next_event() else { panic!("no scan") };
+        assert_eq!(scan.stamp_ns, 70 * MS + 3_125_000);
+    }
+}

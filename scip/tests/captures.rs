@@ -175,11 +175,11 @@ fn watch(options: MonitorOptions, folder: &str) -> Option<(Monitor, Vec<Event>)>
 }
 
 fn scans(events: &[Event]) -> Vec<&Scan> {
-    let scan = |event| match event {
-        &Event::Scan(ref scan) => Some(scan),
+    let scans = events.iter().filter_map(|event| match event {
+        Event::Scan(scan) => Some(scan),
         _ => None,
-    };
-    events.iter().filter_map(scan).collect()
+    });
+    scans.collect()
 }
 
 #[test]
@@ -200,14 +200,7 @@ fn a_monitor_of_a_real_utm_30lx() {
     assert_eq!(scans[0].first_byte_ns - scans[0].stamp_ns, 23_500_000);
     let options = MonitorOptions { clock: ClockSource::Device, ..MonitorOptions::default() };
     let (_, events) = watch(options, "utm_30lx").unwrap();
-    let stamps: Vec<i64> = events
-        .iter()
-        .filter_map(|event| match event {
-            Event::Scan(scan) => Some(scan.stamp_ns),
-            _ => None,
-        })
-        .collect();
-    assert_eq!(stamps, [4_821_609_000_000]);
+    assert_eq!(self::scans(&events)[0].stamp_ns, 4_821_609_000_000);
 }
 
 #[test]
