@@ -195,7 +195,7 @@ impl fmt::Display for Event {
                 crate::Echo::Other(line) => write!(f, "{}: {}", line.escape_ascii(), reply.status),
             },
             Event::Skipped(error) => error.fmt(f),
-            Event::Lost { seq, scans } => write!(f, "{scans} scans lost before scan {seq}"),
+            Event::Lost { seq, scans } => write!(f, "scans lost before scan {seq}: {scans}"),
             Event::StuckStamp { stamp_ms, scans } => write!(f, "{scans} scans carry the stamp {stamp_ms} ms"),
             Event::ClockReset { before_ms, after_ms } => {
                 write!(f, "the device's clock went from {before_ms} to {after_ms} ms")

@@ -37,68 +37,7 @@
 //! ```
 //!
 //! # Driving a device
-//! ```no_run
-//! use std::time::{Duration, Instant};
-//! use scip::transport::{Address, Received, Transport};
-//! use scip::{Action, Event, Session, SessionSettings, State};
-//!
-//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! let address: Address = "tcp://192.168.0.10:10940".parse()?;
-//! let begun = Instant::now();
-//! let now = || begun.elapsed().as_nanos() as i64;
-//! let settings = SessionSettings { profile: address.profile(), ..SessionSettings::default() };
-//! let mut session = Session::new(settings, now())?;
-//! let mut port: Option<Box<dyn Transport>> = None;
-//! let mut buffer = [0; 64 * 1024];
-//! while session.state() != State::Stopped {
-//!     while let Some(action) = session.next_action() {
-//!         match action {
-//!             Action::Open => match address.open(Duration::from_secs(2)) {
-//!                 Ok(opened) => {
-//!                     port = Some(opened);
-//!                     session.on_opened(now());
-//!                 }
-//!                 Err(error) => {
-//!                     eprintln!("{error}");
-//!                     session.on_closed(now());
-//!                 }
-//!             },
-//!             Action::Send { bytes, .. } => {
-//!                 if port.as_mut().is_some_and(|port| port.write_all(&bytes).is_err()) {
-//!                     port = None;
-//!                     session.on_closed(now());
-//!                 }
-//!             }
-//!             Action::Close => {
-//!                 port = None;
-//!                 session.on_closed(now());
-//!             }
-//!         }
-//!     }
-//!     while let Some(event) = session.next_event() {
-//!         match event {
-//!             Event::Scan(scan) => println!("{} values", scan.distances_mm.len()),
-//!             other => eprintln!("{other}"),
-//!         }
-//!     }
-//!     let wait_ns = session.deadline_ns().map_or(0, |deadline| (deadline - now()).max(0));
-//!     let wait = Duration::from_nanos(wait_ns as u64);
-//!     match port.as_mut().map(|port| port.read(&mut buffer, wait)) {
-//!         Some(Ok(Received::Bytes(count))) => session.on_received(now(), &buffer[..count]),
-//!         Some(Ok(Received::Nothing)) => session.on_time(now()),
-//!         Some(Ok(Received::Closed) | Err(_)) => {
-//!             port = None;
-//!             session.on_closed(now());
-//!         }
-//!         None => {
-//!             std::thread::sleep(wait);
-//!             session.on_time(now());
-//!         }
-//!     }
-//! }
-//! # Ok(())
-//! # }
-//! ```
+#![doc = concat!("```no_run\n", include_str!("../examples/drive.rs"), "```")]
 
 mod clock;
 pub mod decoder;
