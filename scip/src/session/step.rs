@@ -1,0 +1,116 @@
+//! The start-up, request by request: what is asked in which order, and what each answer leads to.
+
+use crate::request::{Command, Request};
+use crate::status::Status;
+
+/// One request of the start-up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Step {
+    /// QT: whatever the device was left doing ends.
+    Quiet,
+    /// TM2, since QT was refused: the device was left in the time mode.
+    LeaveForgottenTime,
+    /// SCIP2.0: an old URG-04LX begins in SCIP 1.1.
+    SwitchFromScip1,
+    /// RS: all settings to their defaults, clock to zero.
+    Reset,
+    /// VV.
+    Version,
+    /// PP.
+    Parameters,
+    /// II.
+    State,
+    /// TM0.
+    EnterTime,
+    /// TM1, so many times more.
+    ReadTime {
+        /// Rounds still to be sent, this one included.
+        rounds: u32,
+    },
+    /// TM2.
+    LeaveTime,
+    /// BM.
+    LaserOn,
+    /// MD or ME.
+    Stream(Request),
+    /// RB, to be sent twice within a second.
+    Reboot {
+        /// Whether this is the second.
+        again: bool,
+    },
+}
+
+/// What an answer, or its absence, leads to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Next {
+    /// The step is done.
+    Done,
+    /// The step did not work but the start-up can go on without it.
+    Skip,
+    /// Send the request again after a pause.
+    Again,
+    /// Do this step instead.
+    Detour(Step),
+    /// The connection cannot be used.
+    Fail,
+}
+
+impl Step {
+    pub fn request(self) -> Request {
+        let command = match self {
+            Step::Quiet => Command::Quit,
+            Step::LeaveForgottenTime | Step::LeaveTime => Command::TimeLeave,
+            Step::SwitchFromScip1 => Command::Scip2,
+            Step::Reset => Command::Reset,
+            Step::Version => Command::Version,
+            Step::Parameters => Command::Parameters,
+            Step::State => Command::State,
+            Step::EnterTime => Command::TimeEnter,
+            Step::ReadTime { .. } => Command::TimeRead,
+            Step::LaserOn => Command::LaserOn,
+            Step::Reboot { .. } => Command::Reboot,
+            Step::Stream(request) => return request,
+        };
+        command.into()
+    }
+
+    /// Whether the device may be in the time mode while this step is under way.
+    pub fn in_time_mode(self) -> bool {
+        matches!(self, Step::EnterTime | Step::ReadTime { .. } | Step::LeaveTime | Step::LeaveForgottenTime)
+    }
+
+    /// What an answer leads to.
+    pub fn after(self, status: Status) -> Next {
+        use Status::{Abnormal, Denied, Done, General, Refused, Scip1, Unstable};
+        match (self, status) {
+            (Step::SwitchFromScip1, _) => Next::Done,
+            (_, Scip1(_)) => Next::Detour(Step::SwitchFromScip1),
+            (Step::Reboot { again: false }, Refused(1)) => Next::Detour(Step::Reboot { again: true }),
+            (Step::Reboot { .. }, _) => Next::Done,
+            (_, Abnormal) => Next::Detour(Step::Reboot { again: false }),
+            (_, Done) => Next::Done,
+            (_, Unstable) => Next::Again,
+            (Step::Quiet, General(_) | Denied) => Next::Detour(Step::LeaveForgottenTime),
+            // 03: was not in the time mode; anything else shows in the next answer to QT.
+            (Step::LeaveForgottenTime, _) => Next::Done,
+            // Not every model knows RS, VV and II; nothing that follows depends on them.
+            (Step::Reset | Step::Version | Step::State, General(b'D'..=b'F')) => Next::Skip,
+            (Step::EnterTime, Refused(2)) | (Step::LeaveTime, Refused(3)) => Next::Done,
+            (Step::ReadTime { .. }, _) => Next::Skip,
+            (Step::LaserOn, Refused(2)) => Next::Done,
+            (Step::Stream(_), Denied) => Next::Detour(Step::LaserOn),
+            (Step::Stream(_), Refused(_) | General(b'C'..=b'H')) => Next::Fail,
+            _ => Next::Again,
+        }
+    }
+
+    /// What follows when the request went unanswered or was refused as often as it may be.
+    pub fn exhausted(self) -> Next {
+        match self {
+            Step::Quiet => Next::Detour(Step::SwitchFromScip1),
+            Step::LeaveForgottenTime | Step::Reboot { .. } => Next::Done,
+            Step::Reset | Step::EnterTime | Step::ReadTime { .. } => Next::Skip,
+            _ => Next::Fail,
+        }
+    }
+}
