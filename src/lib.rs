@@ -1,5 +1,6 @@
 //! A map that sees glass.
 
+pub mod cdr;
 pub mod map;
 pub mod pose;
 pub mod scan;
