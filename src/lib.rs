@@ -3,4 +3,5 @@
 pub mod cdr;
 pub mod map;
 pub mod pose;
+pub mod record;
 pub mod scan;
