@@ -8,8 +8,8 @@
 mod messages;
 
 pub use messages::{
-    DiagnosticArray, DiagnosticStatus, Header, LaserScan, OccupancyGrid, Odometry, PoseReceived, ScipBytes, TfMessage,
-    Transform, TransformStamped,
+    DiagnosticArray, DiagnosticStatus, Header, LaserScan, OccupancyGrid, Odometry, PoseReceived, ScipBytes,
+    TfMessage, Transform, TransformStamped,
 };
 
 /// Why bytes are not the message they should be.

@@ -151,8 +151,8 @@ pub struct SessionInfo {
     pub software: String,
     /// Settings of the mapper.
     pub mapper: serde_json::Value,
-    /// Settings of the SCIP monitor (what the device's stamps refer to, and the like).
-    pub monitor: serde_json::Value,
+    /// Whether the device's stamps are taken to refer to the rear of the sensor, not to step 0.
+    pub stamps_at_rear: bool,
     /// Where the poses came from, for people.
     pub pose_source: String,
 }
@@ -446,7 +446,9 @@ impl Recorder {
             Record::Scan(scan) => scan.received_ns,
             Record::PoseReceived { pose, .. } => pose.received_ns,
             Record::PoseUsed { stamp_ns, .. } => *stamp_ns,
-            Record::Map(_) | Record::Diagnostics(_) | Record::Device(_) | Record::Attachment(_) => self.now_ns,
+            Record::Map(_) | Record::Diagnostics(_) | Record::Device(_) | Record::Attachment(_) => {
+                self.now_ns
+            }
         });
         match record {
             Record::Scan(_) => self.scans += 1,
@@ -646,7 +648,9 @@ impl Recorder {
                 let message = cdr::DiagnosticArray { header, status: status.clone() };
                 self.message(Topic::Diagnostics, None, self.now_ns, &message)
             }
-            Record::Device(device) => self.with_writer(|writer, log_time| write_device(writer, device, log_time)),
+            Record::Device(device) => {
+                self.with_writer(|writer, log_time| write_device(writer, device, log_time))
+            }
             Record::Attachment(attachment) => {
                 self.with_writer(|writer, log_time| attach(writer, attachment, log_time))
             }
@@ -801,7 +805,9 @@ fn write_session(writer: &mut Writer, info: &FileInfo) -> mcap::McapResult<()> {
 /// The answers to VV, PP and II: each as an attachment (`KEY:value` lines) and all in one metadata record (`PP.DMIN`).
 fn write_device(writer: &mut Writer, device: &scip::Device, log_time: u64) -> mcap::McapResult<()> {
     let mut metadata = BTreeMap::new();
-    for (command, fields) in [("VV", &device.version), ("PP", &device.parameter_fields), ("II", &device.state)] {
+    for (command, fields) in
+        [("VV", &device.version), ("PP", &device.parameter_fields), ("II", &device.state)]
+    {
         let Some(fields) = fields else { continue };
         let mut text = String::new();
         for (key, value) in fields.iter() {
@@ -809,7 +815,11 @@ fn write_device(writer: &mut Writer, device: &scip::Device, log_time: u64) -> mc
             metadata.insert(format!("{command}.{key}"), value.to_owned());
         }
         let media_type = "text/plain".to_owned();
-        attach(writer, &Attachment { name: format!("{command}.txt"), media_type, data: text.into() }, log_time)?;
+        attach(
+            writer,
+            &Attachment { name: format!("{command}.txt"), media_type, data: text.into() },
+            log_time,
+        )?;
     }
     writer.write_metadata(&mcap::records::Metadata { name: DEVICE.to_owned(), metadata })
 }
@@ -836,18 +846,23 @@ pub fn laser_scan(scan: &Scan, header: cdr::Header) -> cdr::LaserScan {
 
 fn transform(pose: &Pose) -> cdr::Transform {
     let [z, w] = quaternion_from_yaw(pose.rotation.angle());
-    cdr::Transform {
-        translation: [pose.translation.x, pose.translation.y, 0.0],
-        rotation: [0.0, 0.0, z, w],
-    }
+    cdr::Transform { translation: [pose.translation.x, pose.translation.y, 0.0], rotation: [0.0, 0.0, z, w] }
 }
 
 /// The 6 x 6 matrix over (x, y, z, roll, pitch, yaw) of xx, xy, xa, yy, ya, aa.
 fn planar_covariance([xx, xy, xa, yy, ya, aa]: [f64; 6]) -> [f64; 36] {
     let mut matrix = [0.0; 36];
-    for (row, column, value) in
-        [(0, 0, xx), (0, 1, xy), (1, 0, xy), (0, 5, xa), (5, 0, xa), (1, 1, yy), (1, 5, ya), (5, 1, ya), (5, 5, aa)]
-    {
+    for (row, column, value) in [
+        (0, 0, xx),
+        (0, 1, xy),
+        (1, 0, xy),
+        (0, 5, xa),
+        (5, 0, xa),
+        (1, 1, yy),
+        (1, 5, ya),
+        (5, 1, ya),
+        (5, 5, aa),
+    ] {
         matrix[6 * row + column] = value;
     }
     matrix

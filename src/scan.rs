@@ -84,7 +84,12 @@ impl Scan {
             stamp_ns: scan.stamp_ns + (to_middle * step_ns).round() as i64,
             received_ns: scan.last_byte_ns,
             geometry,
-            ranges: scan.distances_mm.iter().take(whole_groups).map(|&mm| range(parameters.classify(mm))).collect(),
+            ranges: scan
+                .distances_mm
+                .iter()
+                .take(whole_groups)
+                .map(|&mm| range(parameters.classify(mm)))
+                .collect(),
             intensities: scan.intensities.iter().take(whole_groups).map(|&value| value as f32).collect(),
         }
     }

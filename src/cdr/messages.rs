@@ -63,7 +63,8 @@ impl Header {
         out.text(&self.frame_id);
     }
 
-    fn read(input: &mut Decoder<'_>) -> Result<Self, CdrError> {
+    /// Takes the fields; also alone, where the rest of a message does not matter.
+    pub fn read(input: &mut Decoder<'_>) -> Result<Self, CdrError> {
         Ok(Self { stamp_ns: input.time()?, frame_id: input.text()? })
     }
 }
@@ -243,7 +244,10 @@ impl Message for Odometry {
         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n\
          geometry_msgs/TwistWithCovariance twist\n",
         dependency!("geometry_msgs/PoseWithCovariance", "geometry_msgs/Pose pose\nfloat64[36] covariance\n"),
-        dependency!("geometry_msgs/TwistWithCovariance", "geometry_msgs/Twist twist\nfloat64[36] covariance\n"),
+        dependency!(
+            "geometry_msgs/TwistWithCovariance",
+            "geometry_msgs/Twist twist\nfloat64[36] covariance\n"
+        ),
         dependency!("geometry_msgs/Twist", "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n"),
         vector3!(),
         pose!(),
