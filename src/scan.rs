@@ -114,7 +114,7 @@ mod tests {
     }
 
     fn scan(start: u16, end: u16, cluster: u8, distances_mm: Vec<u32>) -> scip::Scan {
-        let mut request = scip::ScanRequest::new(scip::ScanKind::Md, start, end);
+        let mut request = scip::ScanRequest::new(scip::ScanKind::MD, start, end);
         request.cluster = cluster;
         scip::Scan {
             request,

@@ -345,7 +345,7 @@ mod tests {
 
     #[test]
     fn missing_scans_show_in_the_stamps() {
-        assert_eq!(median_step(&[0, 100, 201, 300, 700]), 100);
+        assert_eq!(median_step(&[0, 100, 201, 300, 400, 800]), 100);
         assert_eq!(median_step(&[5]), 0);
         assert_eq!(scans_between(0, 101, 100), 1);
         assert_eq!(scans_between(0, 30, 100), 1);
