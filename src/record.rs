@@ -235,7 +235,7 @@ pub enum RecordError {
         /// The file.
         path: PathBuf,
         /// Why.
-        source: mcap::McapError,
+        source: Box<mcap::McapError>,
     },
 }
 
@@ -331,7 +331,7 @@ struct OpenFile {
 impl OpenFile {
     fn mcap_error(&self) -> impl Fn(mcap::McapError) -> RecordError + use<> {
         let path = self.path.clone();
-        move |source| RecordError::Mcap { path: path.clone(), source }
+        move |source| RecordError::Mcap { path: path.clone(), source: source.into() }
     }
 
     fn io_error(&self) -> impl Fn(std::io::Error) -> RecordError + use<> {
@@ -384,6 +384,8 @@ pub struct Recorder {
     settings: RecorderSettings,
     info: FileInfo,
     report: RecorderReport,
+    /// As last told; a file keeps what it was begun with.
+    wall_minus_monotonic_ns: i64,
     /// `None` after an error, until `retry_ns`.
     open: Option<OpenFile>,
     retry_ns: i64,
@@ -406,7 +408,6 @@ impl Recorder {
     pub fn create(settings: RecorderSettings, wall_ns: i64, monotonic_ns: i64) -> Result<Self, RecordError> {
         let info = FileInfo {
             session: wall_ns,
-            wall_minus_monotonic_ns: wall_ns - monotonic_ns,
             frames: settings.frames.clone(),
             info: settings.session.clone(),
             ..FileInfo::default()
@@ -415,6 +416,7 @@ impl Recorder {
             settings,
             info,
             report: RecorderReport::default(),
+            wall_minus_monotonic_ns: wall_ns - monotonic_ns,
             open: None,
             retry_ns: monotonic_ns,
             now_ns: monotonic_ns,
@@ -432,7 +434,7 @@ impl Recorder {
     /// Tells how the two clocks stand now; used from the next file on, so that a step of the wall clock does not
     /// reorder a file.
     pub fn on_clocks(&mut self, wall_ns: i64, monotonic_ns: i64) {
-        self.info.wall_minus_monotonic_ns = wall_ns - monotonic_ns;
+        self.wall_minus_monotonic_ns = wall_ns - monotonic_ns;
     }
 
     /// Writes one record.
@@ -484,10 +486,10 @@ impl Recorder {
         self.rotate_when_due()
     }
 
-    /// Completes the last file.
+    /// Completes the last file and gives the report, which comes beside the error too.
     ///
     /// # Errors
-    /// Where it cannot be completed; it stays as `.active`.
+    /// Where the file cannot be completed; it stays as `.active`.
     pub fn close(mut self) -> Result<RecorderReport, (RecorderReport, RecordError)> {
         match self.finish_file() {
             Ok(()) => Ok(self.report),
@@ -555,6 +557,7 @@ impl Recorder {
     /// Makes the next file, with all that a reader of it alone needs: metadata, attachments, channels, fixed frames.
     fn begin_file(&mut self) -> Result<OpenFile, RecordError> {
         let (path, file) = self.create_file()?;
+        self.info.wall_minus_monotonic_ns = self.wall_minus_monotonic_ns;
         let io_error = |source| RecordError::Io { path: path.clone(), source };
         let handle = file.try_clone().map_err(io_error)?;
         let output = Output {
@@ -562,7 +565,8 @@ impl Recorder {
             #[cfg(test)]
             left: self.room,
         };
-        let mcap_error = |source| RecordError::Mcap { path: path.clone(), source };
+        let mcap_error =
+            |source: mcap::McapError| RecordError::Mcap { path: path.clone(), source: source.into() };
         let mut writer = write_options().create(BufWriter::new(output)).map_err(mcap_error)?;
         self.info.scans_before = self.scans;
         let log_time = self.log_time(self.now_ns);
@@ -748,6 +752,9 @@ impl Recorder {
     }
 
     /// Writes the message in `self.bytes`; its sequence is the channel's own count unless given.
+    ///
+    /// Log times never go back, as players and checkers want it: they are the latest time known, while publish times
+    /// (and what is inside the messages) are each message's own.
     fn put_bytes(
         &mut self,
         file: &mut OpenFile,
@@ -755,13 +762,13 @@ impl Recorder {
         sequence: Option<u32>,
         monotonic_ns: i64,
     ) -> Result<(), RecordError> {
+        let (log_time, publish_time) = (self.log_time(self.now_ns), self.log_time(monotonic_ns));
         let own = &mut self.sequences[topic as usize];
-        let log_time = (monotonic_ns + self.info.wall_minus_monotonic_ns).max(0) as u64;
         let header = mcap::records::MessageHeader {
             channel_id: file.channels[topic as usize],
             sequence: sequence.unwrap_or(*own),
             log_time,
-            publish_time: log_time,
+            publish_time,
         };
         *own = own.wrapping_add(1);
         file.unflushed += self.bytes.len();

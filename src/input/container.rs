@@ -10,7 +10,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use super::bag::Bag;
 use super::own::Recording;
 use super::{Damage, InputError, InputOptions, InputReport, Source, read_up_to};
-use crate::record::{SESSION, topic};
+use crate::record::{FileInfo, SESSION, topic};
 
 /// No message or attachment of a recording is larger (bytes): a damaged length must not take all memory.
 const LARGEST_RECORD: usize = 256 << 20;
@@ -202,7 +202,8 @@ pub fn open(
         looks.push(look(path)?);
     }
     let mut order: Vec<usize> = (0..files.len()).collect();
-    order.sort_by_key(|&index| (looks[index].first_log_time, index));
+    // By number where the files have one: the wall clock may have stepped back between two.
+    order.sort_by_key(|&index| (looks[index].number, looks[index].first_log_time, index));
     files = order.iter().map(|&index| files[index].clone()).collect();
     let own = looks.iter().filter(|look| look.is_own).count();
     if own != 0 && own != looks.len() {
@@ -228,6 +229,8 @@ pub fn open(
 #[derive(Default)]
 struct Look {
     is_own: bool,
+    /// Run, and number of the file in it.
+    number: (i64, u32),
     is_ros1: bool,
     first_log_time: u64,
 }
@@ -236,7 +239,11 @@ fn look(path: &Path) -> Result<Look, InputError> {
     let mut look = Look::default();
     visit(path, &mut |entry, _| match entry {
         Entry::Metadata(metadata) => {
-            look.is_own |= metadata.name == SESSION;
+            if metadata.name == SESSION {
+                look.is_own = true;
+                let info = metadata.metadata.get("json").and_then(|json| serde_json::from_str(json).ok());
+                look.number = info.map_or((0, 0), |info: FileInfo| (info.session, info.file));
+            }
             true
         }
         Entry::Message { channel, header, .. } => {

@@ -244,7 +244,10 @@ mod tests {
     const ROLLED: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
     const NONE: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
 
-    fn frames(list: &[(&str, &str, i64, [f64; 3], [f64; 4], bool)]) -> Frames {
+    /// Parent, child, stamp, translation, rotation, static or not.
+    type Row<'a> = (&'a str, &'a str, i64, [f64; 3], [f64; 4], bool);
+
+    fn frames(list: &[Row<'_>]) -> Frames {
         let mut frames = Frames::default();
         for &(parent, child, stamp_ns, translation, rotation, is_static) in list {
             let stamped = cdr::TransformStamped {

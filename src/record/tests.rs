@@ -209,6 +209,25 @@ fn files_rotate_by_age_and_size_and_each_is_complete() {
 }
 
 #[test]
+fn a_step_of_the_wall_clock_waits_for_the_next_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = RecorderSettings { rotate_ns: SECOND, ..settings(folder.path()) };
+    let mut recorder = Recorder::create(settings, WALL, START).unwrap();
+    recorder.on_clocks(WALL - 3600 * SECOND, START);
+    for number in 0..60 {
+        recorder.write(&bytes(number, 0)).unwrap();
+    }
+    let report = recorder.close().unwrap();
+    assert_eq!(report.files.len(), 2);
+    for (path, offset) in report.files.iter().zip([WALL - START, WALL - START - 3600 * SECOND]) {
+        let read = Read::of(path);
+        assert_eq!(read.info.wall_minus_monotonic_ns, offset);
+        assert!(read.messages.is_sorted_by_key(|message| message.2));
+        assert!(read.messages.iter().all(|message| (message.2 as i64 - offset - START) / SECOND < 2));
+    }
+}
+
+#[test]
 fn a_full_disk_costs_one_file_and_is_counted() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = Recorder::create(settings(folder.path()), WALL, START).unwrap();
