@@ -43,3 +43,121 @@ impl Scan {
         self.stamp_ns + (last * self.geometry.time_increment * 1e9).round() as i64
     }
 }
+
+/// Metres of a distance on the wire, as near as `f32` can say it.
+fn metres(distance_mm: u32) -> f32 {
+    distance_mm as f32 / 1000.0
+}
+
+impl Geometry {
+    /// Geometry of what `request` asks for on a device with these `parameters`.
+    ///
+    /// With a cluster of `n` steps the device sends the smallest distance of each group (SCIP 2.0, C-42-03320B)
+    /// and does not say which step it came from. The bearing is that of the group's middle, and so is the time:
+    /// the error is at most half a group to either side, where the first step's would be a whole group to one.
+    pub fn from_scip(request: &scip::ScanRequest, parameters: &scip::Parameters) -> Self {
+        let group = f64::from(request.steps_per_group());
+        let middle = (group - 1.0) / 2.0;
+        let turn_s = 60.0 / f64::from(parameters.rpm);
+        Self {
+            angle_min: parameters.bearing(f64::from(request.start) + middle),
+            angle_increment: group * parameters.bearing_per_step(),
+            time_increment: group * turn_s / f64::from(parameters.steps_per_turn),
+            range_min: metres(parameters.min_mm).into(),
+            range_max: metres(parameters.max_mm).into(),
+        }
+    }
+}
+
+impl Scan {
+    /// The scan in SI units: codes become `+inf`, `-inf` and `NaN` by REP-117, by the model's table of codes.
+    ///
+    /// Only first echoes are kept. A last group of fewer steps than the others, whose middle lies elsewhere, is
+    /// left out.
+    pub fn from_scip(scan: &scip::Scan, parameters: &scip::Parameters) -> Self {
+        let geometry = Geometry::from_scip(&scan.request, parameters);
+        let whole_groups = scan.request.value_counts().0;
+        let to_middle = (f64::from(scan.request.steps_per_group()) - 1.0) / 2.0;
+        let step_ns = parameters.turn_ns() as f64 / f64::from(parameters.steps_per_turn);
+        Self {
+            seq: scan.seq,
+            stamp_ns: scan.stamp_ns + (to_middle * step_ns).round() as i64,
+            received_ns: scan.last_byte_ns,
+            geometry,
+            ranges: scan
+                .distances_mm
+                .iter()
+                .take(whole_groups)
+                .map(|&mm| range(parameters.classify(mm)))
+                .collect(),
+            intensities: scan.intensities.iter().take(whole_groups).map(|&value| value as f32).collect(),
+        }
+    }
+}
+
+/// Range of a measurement (m, REP-117).
+fn range(measurement: scip::Measurement) -> f32 {
+    match measurement {
+        scip::Measurement::Millimetres(mm) => metres(mm),
+        scip::Measurement::NothingInRange => f32::INFINITY,
+        scip::Measurement::TooNear => f32::NEG_INFINITY,
+        scip::Measurement::Invalid(_) => f32::NAN,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn utm() -> scip::Parameters {
+        scip::Parameters::of_model(scip::model::find("UTM-30LX").unwrap()).unwrap()
+    }
+
+    fn scan(start: u16, end: u16, cluster: u8, distances_mm: Vec<u32>) -> scip::Scan {
+        let mut request = scip::ScanRequest::new(scip::ScanKind::MD, start, end);
+        request.cluster = cluster;
+        scip::Scan {
+            request,
+            text: None,
+            seq: 3,
+            stamp_ms: 5,
+            unwrapped_ms: 5,
+            first_byte_ns: 30,
+            last_byte_ns: 40,
+            stamp_ns: 1_000_000,
+            distances_mm,
+            intensities: Vec::new(),
+            more_echoes: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn codes_are_no_ranges() {
+        let scan = Scan::from_scip(&scan(538, 543, 1, vec![1, 2, 3, 23, 60_000, 60_001]), &utm());
+        assert_eq!(scan.ranges[..2], [f32::INFINITY, f32::NEG_INFINITY]);
+        assert!(scan.ranges[2].is_nan());
+        assert_eq!(scan.ranges[3..], [0.023, 60.0, f32::INFINITY]);
+        let Geometry { range_min, range_max, .. } = scan.geometry;
+        assert!(scan.ranges[3..5].iter().all(|&r| (range_min..=range_max).contains(&r.into())));
+        assert_eq!((scan.seq, scan.stamp_ns, scan.received_ns), (3, 1_000_000, 40));
+    }
+
+    #[test]
+    fn bearings_and_times_of_a_full_scan() {
+        let scan = Scan::from_scip(&scan(0, 1080, 0, vec![1000; 1081]), &utm());
+        let geometry = scan.geometry;
+        assert!((geometry.angle_min + 135_f64.to_radians()).abs() < 1e-12);
+        assert!((geometry.angle_increment - 0.25_f64.to_radians()).abs() < 1e-15);
+        // 60 s / (2400 * 1440) a step: the last of 1081 beams is fired 18.75 ms after the first.
+        assert_eq!(scan.end_ns() - scan.stamp_ns, 18_750_000);
+    }
+
+    #[test]
+    fn a_group_points_to_its_middle_and_a_partial_one_is_left_out() {
+        let scan = Scan::from_scip(&scan(540, 546, 3, vec![1000, 2000, 3000]), &utm());
+        assert_eq!(scan.ranges, [1.0, 2.0]);
+        assert!((scan.geometry.angle_min - 0.25_f64.to_radians()).abs() < 1e-12);
+        assert!((scan.geometry.angle_increment - 0.75_f64.to_radians()).abs() < 1e-12);
+        assert_eq!(scan.stamp_ns, 1_000_000 + 17_361);
+    }
+}

@@ -1,0 +1,355 @@
+//! A ROS 2 bag in MCAP from anyone: LaserScan messages placed by transforms or odometry.
+//!
+//! The poses are read first, in a pass of their own, and given to the mapper just before the scans that need them.
+//! Ranges: `NaN` and what is below range_min tell nothing (drivers put error codes and masks there), `+inf` and what
+//! is above range_max is no return, `-inf` is too near (REP-117).
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use super::container::{Channel, Entry, visit_all};
+use super::frames::{Frames, isometry, name, yaw};
+use super::poses::Poses;
+use super::{InputError, InputOptions, InputReport, PoseSource, Sink, Source};
+use crate::cdr::{self, Message};
+use crate::pose::{Pose, StampedPose, pose};
+use crate::scan::{Geometry, Scan};
+
+/// See the module.
+pub struct Bag {
+    files: Vec<PathBuf>,
+    bytes: u64,
+    scan_topic: String,
+    /// Usual time from a scan to the next (ns), 0 where there are too few to tell.
+    period_ns: i64,
+    placement: Placement,
+}
+
+/// Poses with what they mean for the scanner.
+pub(super) struct Placement {
+    pub poses: Poses,
+    mount: Option<Pose>,
+    upside_down: bool,
+}
+
+/// What a first pass over the files finds.
+#[derive(Default)]
+pub(super) struct Survey {
+    frames: Frames,
+    /// Stamps and frame of the scans of each topic.
+    scans: BTreeMap<String, ScanTopic>,
+    odometry: BTreeMap<String, OdomTopic>,
+}
+
+#[derive(Default)]
+struct ScanTopic {
+    frame: String,
+    stamps_ns: Vec<i64>,
+}
+
+#[derive(Default)]
+struct OdomTopic {
+    frame: String,
+    poses: Vec<StampedPose>,
+}
+
+impl Survey {
+    pub(super) fn of(
+        files: &[PathBuf],
+        _options: &InputOptions,
+        report: &mut InputReport,
+    ) -> Result<Self, InputError> {
+        let mut survey = Self::default();
+        visit_all(files, report, &mut |entry, _, report| {
+            if let Entry::Message { channel, data, .. } = entry
+                && channel.encoding == "cdr"
+                && let Err(error) = survey.take(channel, data)
+            {
+                log::debug!("{}: {error}", channel.topic);
+                report.error(&channel.type_name);
+            }
+        })?;
+        survey.frames.sort();
+        if survey.frames.bad > 0 {
+            *report.decode_errors.entry("bad transform".to_owned()).or_default() += survey.frames.bad;
+        }
+        Ok(survey)
+    }
+
+    fn take(&mut self, channel: &Channel, data: &[u8]) -> Result<(), cdr::CdrError> {
+        match channel.type_name.as_str() {
+            cdr::TfMessage::TYPE => {
+                let is_static = channel.topic.ends_with("tf_static");
+                for transform in &cdr::TfMessage::decode(data)?.transforms {
+                    self.frames.insert(transform, is_static);
+                }
+            }
+            cdr::LaserScan::TYPE => {
+                let header = cdr::Header::read(&mut cdr::Decoder::new(data)?)?;
+                let topic = self.scans.entry(channel.topic.clone()).or_default();
+                topic.stamps_ns.push(header.stamp_ns);
+                topic.frame = header.frame_id;
+            }
+            cdr::Odometry::TYPE => {
+                let odometry = cdr::Odometry::decode(data)?;
+                let topic = self.odometry.entry(channel.topic.clone()).or_default();
+                if let Some(transform) = isometry(&odometry.pose) {
+                    let stamp_ns = odometry.header.stamp_ns;
+                    topic.poses.push(StampedPose {
+                        stamp_ns,
+                        received_ns: stamp_ns,
+                        pose: pose(
+                            transform.translation.x,
+                            transform.translation.y,
+                            yaw(&transform.rotation),
+                        ),
+                        covariance: None,
+                        reset: 0,
+                    });
+                } else {
+                    self.frames.bad += 1;
+                }
+                topic.frame = odometry.child_frame_id;
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// The topic that was asked for, else the usual one, else the only one.
+    fn choose<'a, T>(
+        topics: &'a BTreeMap<String, T>,
+        wanted: Option<&str>,
+        usual: &str,
+        what: &str,
+    ) -> Result<(&'a str, &'a T), InputError> {
+        let there_are = || topics.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+        let found = match (wanted, topics.len()) {
+            (Some(wanted), _) => topics.get_key_value(wanted),
+            (None, 1) => topics.iter().next(),
+            (None, _) => topics.get_key_value(usual),
+        };
+        found.map(|(topic, content)| (topic.as_str(), content)).ok_or_else(|| InputError::Bag {
+            what: match (wanted, topics.is_empty()) {
+                (_, true) => format!("the bag has no {what}"),
+                (Some(wanted), _) => format!("the bag has no {what} {wanted}; it has {}", there_are()),
+                (None, _) => format!("the bag has several topics with {what}; choose one of {}", there_are()),
+            },
+        })
+    }
+
+    fn scans(&self, options: &InputOptions) -> Result<(&str, &ScanTopic), InputError> {
+        Self::choose(&self.scans, options.scan_topic.as_deref(), "/scan", "scans (sensor_msgs/msg/LaserScan)")
+    }
+
+    /// Poses as the options want them, or the best that there are.
+    pub(super) fn poses(&self, options: &InputOptions) -> Result<Placement, InputError> {
+        let laser = &self.scans(options)?.1.frame;
+        match &options.pose {
+            Some(PoseSource::Tf) => self.by_tf(laser, options).map_err(|what| InputError::NoPoses { what }),
+            Some(PoseSource::Odom) => self.by_odometry(laser, options),
+            outside @ Some(PoseSource::File(_) | PoseSource::Fixed(_)) => {
+                let base = options.base_frame.as_deref().unwrap_or("base_link");
+                let (mount, upside_down) = self.frames.mount(laser, base).unzip();
+                Ok(Placement {
+                    poses: Poses::from_outside(outside.as_ref())?.unwrap_or(Poses::Fixed(Pose::identity())),
+                    mount: options.mount.or(mount),
+                    upside_down: upside_down.unwrap_or(false),
+                })
+            }
+            None | Some(PoseSource::Recorded) => self.by_tf(laser, options).or_else(|by_tf| {
+                if self.odometry.is_empty() {
+                    return Err(InputError::NoPoses {
+                        what: format!("the bag has no poses: no odometry, and {by_tf}"),
+                    });
+                }
+                self.by_odometry(laser, options)
+            }),
+        }
+    }
+
+    fn by_tf(&self, laser: &str, options: &InputOptions) -> Result<Placement, String> {
+        let way = self.frames.way(laser, options.base_frame.as_deref(), options.fixed_frame.as_deref())?;
+        log::info!("poses: {} in {}, the scanner {} at {}", way.base, way.fixed, name(laser), way.mount);
+        let poses = way.poses.map_or(Poses::Fixed(way.standing), Poses::known);
+        Ok(Placement { poses, mount: Some(options.mount.unwrap_or(way.mount)), upside_down: way.upside_down })
+    }
+
+    fn by_odometry(&self, laser: &str, options: &InputOptions) -> Result<Placement, InputError> {
+        let (topic, odometry) = Self::choose(
+            &self.odometry,
+            options.odom_topic.as_deref(),
+            "/odom",
+            "odometry (nav_msgs/msg/Odometry)",
+        )?;
+        let by_frames = self.frames.mount(laser, &odometry.frame);
+        let Some(mount) = options.mount.or(by_frames.map(|(mount, _)| mount)) else {
+            return Err(InputError::Bag {
+                what: format!(
+                    "{topic} gives poses of {}, and the bag does not tell where {} is on it: give --mount X,Y,YAW",
+                    name(&odometry.frame),
+                    name(laser),
+                ),
+            });
+        };
+        let upside_down = by_frames.is_some_and(|(_, upside_down)| upside_down);
+        Ok(Placement { poses: Poses::known(odometry.poses.clone()), mount: Some(mount), upside_down })
+    }
+}
+
+impl Bag {
+    /// Surveys the files.
+    pub(super) fn open(
+        files: Vec<PathBuf>,
+        options: &InputOptions,
+        report: &mut InputReport,
+    ) -> Result<Self, InputError> {
+        report.kind = "bag".to_owned();
+        let survey = Survey::of(&files, options, report)?;
+        let (scan_topic, scans) = survey.scans(options)?;
+        let placement = survey.poses(options)?;
+        let bytes = report.bytes;
+        Ok(Self {
+            files,
+            bytes,
+            scan_topic: scan_topic.to_owned(),
+            period_ns: median_step(&scans.stamps_ns),
+            placement,
+        })
+    }
+}
+
+/// Median of the steps between stamps.
+fn median_step(stamps_ns: &[i64]) -> i64 {
+    let mut steps: Vec<i64> =
+        stamps_ns.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0).collect();
+    steps.sort_unstable();
+    steps.get(steps.len() / 2).copied().unwrap_or(0)
+}
+
+impl Source for Bag {
+    fn mount(&self) -> Option<Pose> {
+        self.placement.mount
+    }
+
+    fn recorded_mapper(&self) -> Option<&serde_json::Value> {
+        None
+    }
+
+    fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    fn feed(&mut self, sink: &mut dyn Sink, report: &mut InputReport) -> Result<(), InputError> {
+        let mut last: Option<(u64, i64)> = None;
+        let (scan_topic, period_ns, placement) = (&self.scan_topic, self.period_ns, &mut self.placement);
+        visit_all(&self.files, report, &mut |entry, offset, report| {
+            let Entry::Message { channel, data, .. } = entry else { return };
+            if channel.topic != *scan_topic || channel.type_name != cdr::LaserScan::TYPE {
+                return;
+            }
+            // One that cannot be decoded was counted by the survey where its header is cut, here where its body is.
+            let Ok(message) = cdr::LaserScan::decode(data) else {
+                report.error("LaserScan");
+                return;
+            };
+            let stamp_ns = message.header.stamp_ns;
+            let step = match last {
+                None => 0,
+                Some((_, before)) if stamp_ns <= before => {
+                    report.error("scan not behind the one before");
+                    return;
+                }
+                Some((_, before)) => scans_between(before, stamp_ns, period_ns),
+            };
+            report.lost_scans += step.saturating_sub(1);
+            let seq = last.map_or(0, |(seq, _)| seq) + step;
+            last = Some((seq, stamp_ns));
+            let Some(scan) = scan(message, seq, placement.upside_down) else {
+                report.error("scan without beams or angles");
+                return;
+            };
+            placement.poses.give_for(&scan, sink, report);
+            report.scans += 1;
+            sink.on_scan(scan);
+            sink.on_progress(offset);
+        })
+    }
+}
+
+/// Scans from one stamp to the next, at least 1: more where some are missing in between.
+fn scans_between(before_ns: i64, stamp_ns: i64, period_ns: i64) -> u64 {
+    if period_ns <= 0 {
+        return 1;
+    }
+    (((stamp_ns - before_ns) as f64 / period_ns as f64).round() as u64).max(1)
+}
+
+fn scan(message: cdr::LaserScan, seq: u64, upside_down: bool) -> Option<Scan> {
+    let sign = if upside_down { -1.0 } else { 1.0 };
+    let geometry = Geometry {
+        angle_min: sign * f64::from(message.angle_min),
+        angle_increment: sign * f64::from(message.angle_increment),
+        time_increment: f64::from(message.time_increment),
+        range_min: f64::from(message.range_min),
+        range_max: f64::from(message.range_max),
+    };
+    let is_usable = geometry.angle_min.is_finite()
+        && geometry.angle_increment.is_finite()
+        && geometry.angle_increment != 0.0
+        && (0.0..1.0).contains(&geometry.time_increment)
+        && !message.ranges.is_empty();
+    let (least, most) = (message.range_min, message.range_max);
+    let mut ranges = message.ranges;
+    for range in &mut ranges {
+        if range.is_finite() && *range < least {
+            *range = f32::NAN;
+        } else if *range > most {
+            *range = f32::INFINITY;
+        }
+    }
+    let has_intensities = message.intensities.len() == ranges.len();
+    let mut scan = Scan {
+        seq,
+        stamp_ns: message.header.stamp_ns,
+        received_ns: 0,
+        geometry,
+        ranges,
+        intensities: if has_intensities { message.intensities } else { Vec::new() },
+    };
+    scan.received_ns = scan.end_ns();
+    is_usable.then_some(scan)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_outside_of_the_limits_are_none() {
+        let message = cdr::LaserScan {
+            angle_min: -1.0,
+            angle_increment: 0.5,
+            range_min: 0.1,
+            range_max: 10.0,
+            ranges: vec![0.0, 0.1, f32::NAN, 10.0, 10.5, f32::NEG_INFINITY, f32::INFINITY],
+            intensities: vec![1.0],
+            ..cdr::LaserScan::default()
+        };
+        let scan = scan(message.clone(), 0, true).unwrap();
+        assert_eq!(format!("{:?}", scan.ranges), "[NaN, 0.1, NaN, 10.0, inf, -inf, inf]");
+        assert_eq!((scan.geometry.angle_min, scan.geometry.angle_increment), (1.0, -0.5));
+        assert!(scan.intensities.is_empty());
+        assert!(super::scan(cdr::LaserScan { angle_increment: 0.0, ..message }, 0, false).is_none());
+    }
+
+    #[test]
+    fn missing_scans_show_in_the_stamps() {
+        assert_eq!(median_step(&[0, 100, 201, 300, 400, 800]), 100);
+        assert_eq!(median_step(&[5]), 0);
+        assert_eq!(scans_between(0, 101, 100), 1);
+        assert_eq!(scans_between(0, 30, 100), 1);
+        assert_eq!(scans_between(300, 700, 100), 4);
+        assert_eq!(scans_between(300, 700, 0), 1);
+    }
+}

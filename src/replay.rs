@@ -1,0 +1,160 @@
+//! Feeds what was recorded to a mapper, in the order in which it takes it.
+//!
+//! Not the map's files, which the caller writes, and not the formats, which are in [`input`](crate::input).
+
+use std::path::PathBuf;
+
+use crate::input::{self, InputError, InputOptions, InputReport, Sink};
+use crate::mapper::{Mapper, MapperKind, MapperSettings, Mount, Outcome};
+use crate::pose::StampedPose;
+use crate::scan::Scan;
+
+/// What to replay, and how.
+#[derive(Clone, Debug, Default)]
+pub struct ReplayOptions {
+    /// Files of one recording, in any order where they tell their time.
+    pub inputs: Vec<PathBuf>,
+    /// How to read them.
+    pub input: InputOptions,
+    /// Settings of the mapper; `None`: those of the recording, or the defaults.
+    pub mapper: Option<MapperSettings>,
+    /// Kind of the mapper in the place of what the settings say.
+    pub mapper_kind: Option<MapperKind>,
+    /// Beams that show the robot, beside those of the settings: first and last of each group.
+    pub ignore_beams: Vec<[usize; 2]>,
+}
+
+/// Why a replay ended without a map.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// The input cannot be replayed.
+    #[error(transparent)]
+    Input(#[from] InputError),
+    /// Settings of another version.
+    #[error(
+        "the recording was made with settings that this version does not know ({0}); give --config FILE instead"
+    )]
+    Settings(serde_json::Error),
+}
+
+/// How far a replay is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Progress {
+    /// Bytes read of all files.
+    pub bytes: u64,
+    /// Their size.
+    pub total: u64,
+}
+
+/// A replay that has ended.
+#[derive(Debug)]
+pub struct Replay {
+    /// The mapper with its map.
+    pub mapper: Mapper,
+    /// Settings that it had.
+    pub settings: MapperSettings,
+    /// What was read.
+    pub input: InputReport,
+}
+
+/// Replays all of `options.inputs`. `on_outcome` gets what became of each scan, in order; `on_progress` is called a
+/// few thousand times at most.
+///
+/// # Errors
+/// Where there is nothing to make a map from. Damage within the input is none: it is in the report.
+pub fn run(
+    options: &ReplayOptions,
+    on_outcome: &mut dyn FnMut(Outcome),
+    on_progress: &mut dyn FnMut(Progress),
+) -> Result<Replay, ReplayError> {
+    let mut report = InputReport::default();
+    let mut source = input::open(&options.inputs, &options.input, &mut report)?;
+    let settings = settings(options, source.as_ref())?;
+    let total = source.bytes();
+    let mut feeder = Feeder {
+        mapper: Mapper::new(settings.clone()),
+        on_outcome,
+        on_progress,
+        progress: Progress { bytes: 0, total },
+    };
+    source.feed(&mut feeder, &mut report)?;
+    feeder.mapper.finish();
+    feeder.give_outcomes();
+    feeder.progress(total);
+    Ok(Replay { mapper: feeder.mapper, settings, input: report })
+}
+
+/// The options' settings or else the recording's, with what the input tells of the mount where the options do not.
+fn settings(options: &ReplayOptions, source: &dyn input::Source) -> Result<MapperSettings, ReplayError> {
+    let mut settings = match (&options.mapper, source.recorded_mapper()) {
+        (Some(settings), _) => settings.clone(),
+        (None, Some(recorded)) => serde_json::from_value(recorded.clone()).map_err(ReplayError::Settings)?,
+        (None, None) => MapperSettings::default(),
+    };
+    if let Some(mount) = source.mount() {
+        let (x, y, yaw) = (mount.translation.x, mount.translation.y, mount.rotation.angle());
+        // Where the input knows of a scanner that hangs head down, it has turned the bearings already.
+        settings.mount = Mount { x, y, yaw, upside_down: false };
+    }
+    if let Some(kind) = options.mapper_kind {
+        settings.mapper = kind;
+    }
+    settings.ignore_beams.extend(&options.ignore_beams);
+    Ok(settings)
+}
+
+/// Calls the mapper.
+struct Feeder<'a> {
+    mapper: Mapper,
+    on_outcome: &'a mut dyn FnMut(Outcome),
+    on_progress: &'a mut dyn FnMut(Progress),
+    progress: Progress,
+}
+
+impl Feeder<'_> {
+    fn give_outcomes(&mut self) {
+        while let Some(outcome) = self.mapper.next_outcome() {
+            (self.on_outcome)(outcome);
+        }
+    }
+
+    fn progress(&mut self, bytes: u64) {
+        self.progress.bytes = bytes;
+        (self.on_progress)(self.progress);
+    }
+}
+
+impl Sink for Feeder<'_> {
+    fn on_pose(&mut self, pose: StampedPose) {
+        self.mapper.on_pose(pose);
+        self.give_outcomes();
+    }
+
+    fn on_scan(&mut self, scan: Scan) {
+        self.mapper.on_scan(scan);
+        self.give_outcomes();
+    }
+
+    fn on_progress(&mut self, bytes: u64) {
+        // A thousandth is finer than any bar.
+        if bytes >= self.progress.bytes + (self.progress.total / 1000).max(1) {
+            self.progress(bytes.min(self.progress.total));
+        }
+    }
+}
+
+/// A bar for [`run`] on standard error; hidden where that is no terminal.
+pub fn progress_bar() -> indicatif::ProgressBar {
+    let style = "{wide_bar} {bytes}/{total_bytes} {elapsed} (eta {eta})";
+    let bar = indicatif::ProgressBar::new(0);
+    match indicatif::ProgressStyle::with_template(style) {
+        Ok(style) => bar.with_style(style),
+        Err(_) => bar,
+    }
+}
+
+/// Shows a progress on a bar.
+pub fn show(bar: &indicatif::ProgressBar, progress: Progress) {
+    bar.set_length(progress.total);
+    bar.set_position(progress.bytes);
+}
