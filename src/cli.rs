@@ -147,7 +147,7 @@ mod tests {
             toml::from_str("[device]\nurl = \"/dev/a\"\nskip = 1\n[pose]\nsource = \"unix:/a\"\n").unwrap();
         run(&["--device", "tcp://b:1", "--record=there", "--pose", "none", "--out", "map"])
             .override_config(&mut config);
-        assert_eq!(config.device.url, Some(DeviceUrl::Tcp("b:1".into())));
+        assert_eq!(config.device.url, Some("tcp://b:1".parse().unwrap()));
         assert_eq!(config.device.skip, 1);
         assert!(config.record.enabled);
         assert_eq!(config.record.folder, PathBuf::from("there"));

@@ -4,11 +4,13 @@
 //! starts does what its file says. `systemd/visagged.toml` shows every key with its unit and default; a test
 //! keeps it so.
 
+use std::f64::consts::PI;
 use std::fmt;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use scip::transport::Address;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -20,8 +22,6 @@ use crate::mapper::MapperSettings;
 pub struct Config {
     /// The scanner.
     pub device: DeviceConfig,
-    /// Where the scanner sits on the robot.
-    pub mount: MountConfig,
     /// Poses from outside.
     pub pose: PoseConfig,
     /// The grid.
@@ -36,7 +36,7 @@ pub struct Config {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DeviceConfig {
-    /// Where the scanner is: `/dev/ttyACM0`, `serial:PATH`, `tcp://HOST:PORT` or `sim:WORLD`. Default: not set; it
+    /// Where the scanner is: `/dev/ttyACM0`, `serial:PATH?baud=N`, `tcp://HOST:PORT` or `sim:WORLD`. Default: not set; it
     /// must be given here or by `--device`.
     pub url: Option<DeviceUrl>,
     /// First step of the window that is measured (steps, 0..=9999). Default: not set, the device's own first
@@ -90,26 +90,10 @@ pub enum StampReference {
 /// Where a scanner is.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum DeviceUrl {
-    /// A serial port, USB or RS-232, or a pty.
-    Serial(PathBuf),
-    /// Host and port of an Ethernet model.
-    Tcp(String),
+    /// A port of this host, or an Ethernet model.
+    Port(Address),
     /// A simulated scanner in the world of this name or file.
     Sim(String),
-}
-
-/// The scanner's pose on the robot.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct MountConfig {
-    /// Scanner's centre ahead of base_link (m, -100..=100). Default: 0.
-    pub x: f64,
-    /// Scanner's centre to the left of base_link (m, -100..=100). Default: 0.
-    pub y: f64,
-    /// Scanner's heading on the robot, counter-clockwise positive (rad, -6.3..=6.3). Default: 0.
-    pub yaw: f64,
-    /// Whether the scanner hangs upside down, which turns the order of its beams. Default: false.
-    pub upside_down: bool,
 }
 
 /// Poses from outside.
@@ -243,9 +227,23 @@ impl Config {
         within("device.skip", device.skip, 0, 9)?;
         within("device.silence_s", device.silence_s, 0.2, 60.0)?;
         within("device.wait_s", device.wait_s, 0.0, 86400.0)?;
-        within("mount.x", self.mount.x, -100.0, 100.0)?;
-        within("mount.y", self.mount.y, -100.0, 100.0)?;
-        within("mount.yaw", self.mount.yaw, -6.3, 6.3)?;
+        let mapper = &self.mapper;
+        within("mapper.resolution", mapper.resolution, 0.01, 0.5)?;
+        within("mapper.pose_wait", mapper.pose_wait, 0.0, 10.0)?;
+        within("mapper.pose_gap", mapper.pose_gap, 0.0, 10.0)?;
+        within("mapper.mount.x", mapper.mount.x, -100.0, 100.0)?;
+        within("mapper.mount.y", mapper.mount.y, -100.0, 100.0)?;
+        within("mapper.mount.yaw", mapper.mount.yaw, -PI, PI)?;
+        let grid = &mapper.visagge;
+        within("mapper.visagge.range_sigma", grid.range_sigma, 0.0, 0.1)?;
+        within("mapper.visagge.position_sigma", grid.position_sigma, 0.0, 0.5)?;
+        within("mapper.visagge.heading_sigma", grid.heading_sigma, 0.0, 0.1)?;
+        within("mapper.visagge.drift", grid.drift, 0.0, 1.0)?;
+        within("mapper.visagge.range_max", grid.range_max, 1.0, 60.0)?;
+        within("mapper.visagge.no_return_range", grid.no_return_range, 0.0, 30.0)?;
+        within("mapper.visagge.contradiction", grid.contradiction, 1, 100)?;
+        within("mapper.visagge.occupancy_cap", grid.occupancy_cap, 1, 200)?;
+        within("mapper.visagge.body_radius", grid.body_radius, 0.0, 1.0)?;
         within("pose.stale_s", self.pose.stale_s, 0.01, 60.0)?;
         within("pose.future_s", self.pose.future_s, 0.0, 10.0)?;
         within("record.rotate_bytes", self.record.rotate_bytes, 1 << 20, 1 << 40)?;
@@ -271,24 +269,13 @@ impl FromStr for DeviceUrl {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let some =
-            |rest: &str| if rest.is_empty() { Err(format!("nothing follows in {text:?}")) } else { Ok(()) };
-        if let Some(path) = text.strip_prefix("serial:") {
-            some(path)?;
-            Ok(Self::Serial(path.into()))
-        } else if let Some(address) = text.strip_prefix("tcp://") {
-            let (host, port) = address.rsplit_once(':').unwrap_or((address, ""));
-            if host.is_empty() || port.parse::<u16>().is_err() {
-                return Err(format!("{text:?} is not tcp://HOST:PORT (Hokuyo's port is 10940)"));
-            }
-            Ok(Self::Tcp(address.to_owned()))
-        } else if let Some(world) = text.strip_prefix("sim:") {
-            some(world)?;
-            Ok(Self::Sim(world.to_owned()))
-        } else if text.starts_with('/') {
-            Ok(Self::Serial(text.into()))
-        } else {
-            Err(format!("{text:?} is none of /dev/NAME, serial:PATH, tcp://HOST:PORT, sim:WORLD"))
+        match text.strip_prefix("sim:") {
+            Some("") => Err(format!("{text:?} names no world; try sim:hall")),
+            Some(world) => Ok(Self::Sim(world.to_owned())),
+            None => text
+                .parse()
+                .map(Self::Port)
+                .map_err(|error| format!("{error}, or sim:WORLD for a simulated scanner")),
         }
     }
 }
@@ -296,9 +283,7 @@ impl FromStr for DeviceUrl {
 impl fmt::Display for DeviceUrl {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Serial(path) if path.is_absolute() => write!(f, "{}", path.display()),
-            Self::Serial(path) => write!(f, "serial:{}", path.display()),
-            Self::Tcp(address) => write!(f, "tcp://{address}"),
+            Self::Port(address) => address.fmt(f),
             Self::Sim(world) => write!(f, "sim:{world}"),
         }
     }
@@ -427,7 +412,7 @@ mod tests {
                 "device.last_step = 400 is out of range: 500 to 9999",
             ),
             ("[device]\nsilence_s = nan", "device.silence_s = NaN"),
-            ("[mount]\nyaw = 90", "mount.yaw = 90 is out of range: -6.3 to 6.3"),
+            ("[mapper.mount]\nyaw = 90", "mapper.mount.yaw = 90 is out of range: -3.14"),
             ("[pose]\nstale_s = 0", "pose.stale_s = 0"),
             ("[record]\nrotate_bytes = 1", "record.rotate_bytes = 1"),
             ("[output]\nevery_s = inf", "output.every_s = inf"),
@@ -439,12 +424,10 @@ mod tests {
 
     #[test]
     fn urls_and_sources_are_read_and_written_alike() {
-        for text in ["/dev/ttyACM0", "serial:COM3", "tcp://192.168.0.10:10940", "sim:hall"] {
+        for text in ["serial:/dev/ttyS0?baud=19200", "tcp://192.168.0.10:10940", "sim:hall"] {
             assert_eq!(text.parse::<DeviceUrl>().unwrap().to_string(), text);
         }
-        for text in
-            ["", "ttyACM0", "serial:", "sim:", "tcp://host", "tcp://:1", "tcp://host:http", "http://host:1"]
-        {
+        for text in ["", "ttyACM0", "serial:", "sim:", "tcp://:1", "tcp://host:http", "http://host:1"] {
             assert!(text.parse::<DeviceUrl>().is_err(), "{text}");
         }
         for text in ["none", "unix:/run/visagged/pose", "udp://127.0.0.1:7777", "udp://[::1]:7777"] {

@@ -2,9 +2,15 @@
 //!
 //! Level from `VISAGGED_LOG` (as env_logger reads it), `info` otherwise.
 
-use std::io::Write;
+use std::io::{self, IsTerminal, Write};
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
 
+use indicatif::{ProgressBar, ProgressStyle};
 use log::Level;
+
+/// The line that stands on the terminal, if there is one; log lines are written above it.
+static LINE: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
 /// Installs the logger. Lines go to stderr.
 pub fn init() {
@@ -16,8 +22,59 @@ pub fn init() {
         });
     } else {
         builder.format_target(false);
+        if io::stderr().is_terminal() {
+            builder.write_style(env_logger::WriteStyle::Always);
+            builder.target(env_logger::Target::Pipe(Box::new(AboveTheLine)));
+        }
     }
     builder.init();
+}
+
+/// A line at the bottom of the terminal that says how far things are. There is one at a time.
+#[derive(Debug)]
+pub struct Progress(());
+
+impl Progress {
+    /// Puts an empty line on stderr.
+    pub fn start() -> Self {
+        let line = ProgressBar::new_spinner();
+        line.set_style(ProgressStyle::with_template("{spinner} {msg}").expect("the template is right"));
+        line.enable_steady_tick(Duration::from_millis(200));
+        *LINE.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
+        Self(())
+    }
+
+    /// Changes the line.
+    pub fn show(&self, text: &str) {
+        if let Some(line) = &*LINE.lock().unwrap_or_else(PoisonError::into_inner) {
+            line.set_message(text.to_owned());
+        }
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        if let Some(line) = LINE.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            line.finish_and_clear();
+        }
+    }
+}
+
+/// Stderr, with the line taken away while something is written.
+struct AboveTheLine;
+
+impl Write for AboveTheLine {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match &*LINE.lock().unwrap_or_else(PoisonError::into_inner) {
+            Some(line) => line.suspend(|| io::stderr().write_all(bytes))?,
+            None => io::stderr().write_all(bytes)?,
+        }
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        io::stderr().flush()
+    }
 }
 
 /// sd-daemon(3): `<3>` error .. `<7>` debug at the start of each line.

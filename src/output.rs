@@ -25,6 +25,7 @@ use crate::map::Map;
 use crate::pose::Pose;
 use crate::report::Report;
 
+pub use npz::encode as npz;
 pub use picture::SPECULAR_FROM;
 
 /// Writer of the folder.

@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use crate::map::Map;
 use crate::mapper::MapperReport;
+use crate::record::RecorderReport;
 
 /// The report of a run, live or replayed.
 #[derive(Clone, Debug, Serialize)]
@@ -37,7 +38,7 @@ pub struct Report {
     pub decode_errors: BTreeMap<String, u64>,
     /// What the recorder kept; absent where nothing was recorded.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub recording: Option<RecordingReport>,
+    pub recording: Option<RecorderReport>,
     /// The map's size and content.
     pub map: MapSummary,
     /// The settings of the run as a whole.
@@ -91,15 +92,6 @@ pub struct QueueReport {
     pub dropped: u64,
     /// Most entries that it held.
     pub most: usize,
-}
-
-/// What the recorder did.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct RecordingReport {
-    /// Files, in order.
-    pub files: Vec<String>,
-    /// Writes that failed.
-    pub errors: u64,
 }
 
 /// A map in a few numbers.
