@@ -4,7 +4,12 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 
+use serde::Deserialize;
+
 use crate::config::{Config, DeviceUrl, PoseSource};
+use crate::input::{self, InputOptions};
+use crate::mapper::MapperKind;
+use crate::pose::Pose;
 
 /// Shown where neither arguments nor a configuration say what to do.
 pub const WHAT_IS_NEEDED: &str = "\
@@ -82,16 +87,59 @@ pub enum Command {
 /// How to make a map of files.
 #[derive(Debug, Args)]
 pub struct ReplayArgs {
-    /// Recordings and bags (.mcap), Carmen logs (.log, .clf, .gz) or byte streams captured from a port (.scip);
-    /// several files of one kind are read in order.
+    /// Recordings and bags (.mcap, or a folder of them), Carmen logs (.log, .clf, .gz) or byte streams captured
+    /// from a port (.scip). Several are taken for parts of one drive.
     #[arg(required = true, value_name = "INPUT")]
     pub inputs: Vec<PathBuf>,
     /// Folder of the map's files.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Configuration of mount and mapper; a recording's device and poses come from the recording.
+    /// Poses: recorded, tf, odom, FILE.tum, or fixed[:X,Y,YAW] where the scanner stood still (m, rad) [default: what
+    /// the input has].
+    #[arg(long, value_name = "SRC")]
+    pub pose: Option<input::PoseSource>,
+    /// Kind of the grid: visagge, paper or standard [default: that of the recording, or visagge].
+    #[arg(long, value_name = "KIND", value_parser = mapper_kind)]
+    pub mapper: Option<MapperKind>,
+    /// Configuration, of which [mapper] is used in the place of what the recording says.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// Topic of the scans in a bag.
+    #[arg(long, value_name = "TOPIC")]
+    pub scan_topic: Option<String>,
+    /// Topic of the odometry in a bag.
+    #[arg(long, value_name = "TOPIC")]
+    pub odom_topic: Option<String>,
+    /// Frame in which the map is made [default: map where the bag has it, else its highest].
+    #[arg(long, value_name = "FRAME")]
+    pub fixed_frame: Option<String>,
+    /// Frame of the robot [default: base_link, or base_footprint].
+    #[arg(long, value_name = "FRAME")]
+    pub base_frame: Option<String>,
+    /// The scanner on the robot, where the input does not tell or tells it wrong (m, m, rad).
+    #[arg(long, value_name = "X,Y,YAW", value_parser = mount, allow_hyphen_values = true)]
+    pub mount: Option<Pose>,
+    /// Beams that show the robot itself, counted from 0; may be given several times.
+    #[arg(long, value_name = "FIRST-LAST", value_parser = beams)]
+    pub ignore_beams: Vec<[usize; 2]>,
+    /// Model of the scanner that a bare byte stream came from [default: what it says, or UTM-30LX].
+    #[arg(long, value_name = "MODEL")]
+    pub model: Option<String>,
+}
+
+impl ReplayArgs {
+    /// How the files are to be read.
+    pub fn input_options(&self) -> InputOptions {
+        InputOptions {
+            pose: self.pose.clone(),
+            scan_topic: self.scan_topic.clone(),
+            odom_topic: self.odom_topic.clone(),
+            fixed_frame: self.fixed_frame.clone(),
+            base_frame: self.base_frame.clone(),
+            mount: self.mount,
+            model: self.model.clone(),
+        }
+    }
 }
 
 impl RunArgs {
@@ -124,6 +172,26 @@ impl RunArgs {
             config.output.folder = Some(out.clone());
         }
     }
+}
+
+/// As the configuration spells it.
+fn mapper_kind(text: &str) -> Result<MapperKind, String> {
+    let value = serde::de::value::StrDeserializer::<serde::de::value::Error>::new(text);
+    MapperKind::deserialize(value).map_err(|error| error.to_string())
+}
+
+fn mount(text: &str) -> Result<Pose, String> {
+    match format!("fixed:{text}").parse()? {
+        input::PoseSource::Fixed(pose) => Ok(pose),
+        _ => Err("X,Y,YAW in metres and radians are wanted".into()),
+    }
+}
+
+fn beams(text: &str) -> Result<[usize; 2], String> {
+    text.split_once('-')
+        .and_then(|(first, last)| Some([first.parse().ok()?, last.parse().ok()?]))
+        .filter(|[first, last]| first <= last)
+        .ok_or_else(|| "two numbers of beams are wanted, such as 0-40".into())
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -162,6 +230,27 @@ mod tests {
         run.override_config(&mut config);
         assert!(config.record.enabled);
         assert_eq!(config.record.folder, PathBuf::from("recordings"));
+    }
+
+    #[test]
+    fn kinds_and_beams_are_read() {
+        let replay = |arguments: &[&str]| {
+            let all = ["visagged", "replay", "a.mcap", "--out", "b"];
+            match Cli::try_parse_from(all.iter().chain(arguments)).map(|cli| cli.command) {
+                Ok(Some(Command::Replay(replay))) => Some(replay),
+                _ => None,
+            }
+        };
+        let parsed =
+            replay(&["--mapper", "standard", "--ignore-beams", "0-40", "--ignore-beams", "7-7"]).unwrap();
+        assert_eq!(parsed.mapper, Some(MapperKind::Standard));
+        assert_eq!(parsed.ignore_beams, [[0, 40], [7, 7]]);
+        assert!(replay(&["--mount", "-0.1,0,3.14"]).unwrap().mount.is_some());
+        for bad in
+            [["--mapper", "other"], ["--ignore-beams", "5-4"], ["--ignore-beams", "5"], ["--mount", "1,2"]]
+        {
+            assert!(replay(&bad).is_none(), "{bad:?}");
+        }
     }
 
     #[test]

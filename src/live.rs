@@ -21,6 +21,7 @@ pub mod poses;
 pub mod queues;
 pub mod recording;
 pub mod shared;
+pub mod simulator;
 mod status;
 
 use std::collections::BTreeMap;
@@ -480,6 +481,7 @@ impl Supervisor {
             poses: lock(&self.shared.poses).clone(),
             queues: self.gauges.iter().map(|gauge| (gauge.name(), gauge.read())).collect(),
             decode_errors: lock(&self.shared.decode_errors).clone(),
+            input: None,
             recording: self.config.record.enabled.then(|| lock(&self.recording).clone()),
             map: MapSummary::of(map),
             settings: serde_json::to_value(&self.config).unwrap_or_default(),

@@ -3,11 +3,13 @@
 //! Not the log: it says how often, not when.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use serde::Serialize;
 
+use crate::input::InputReport;
 use crate::map::Map;
-use crate::mapper::MapperReport;
+use crate::mapper::{MapperReport, MapperSettings};
 use crate::record::RecorderReport;
 
 /// The report of a run, live or replayed.
@@ -36,6 +38,9 @@ pub struct Report {
     pub queues: BTreeMap<&'static str, QueueReport>,
     /// Replies and bytes that the decoder could not use, by kind.
     pub decode_errors: BTreeMap<String, u64>,
+    /// What was read, and what of it could not be; absent in a live run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub input: Option<InputReport>,
     /// What the recorder kept; absent where nothing was recorded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recording: Option<RecorderReport>,
@@ -43,6 +48,36 @@ pub struct Report {
     pub map: MapSummary,
     /// The settings of the run as a whole.
     pub settings: serde_json::Value,
+}
+
+impl Report {
+    /// The report of a replay.
+    pub fn of_replay(
+        map: &Map,
+        mapper: MapperReport,
+        input: InputReport,
+        settings: &MapperSettings,
+        started_s: f64,
+        elapsed: Duration,
+    ) -> Self {
+        Self {
+            versions: Versions::default(),
+            mode: Mode::Replay,
+            finished: true,
+            inputs: input.files.iter().map(|file| file.display().to_string()).collect(),
+            started_s,
+            elapsed_s: elapsed.as_secs_f64(),
+            device: BTreeMap::new(),
+            mapper,
+            poses: PoseCounts { accepted: input.poses, rejected: BTreeMap::new() },
+            queues: BTreeMap::new(),
+            decode_errors: input.decode_errors.clone(),
+            input: Some(input),
+            recording: None,
+            map: MapSummary::of(map),
+            settings: serde_json::json!({ "mapper": settings }),
+        }
+    }
 }
 
 /// Versions of the parts.

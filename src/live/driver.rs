@@ -153,13 +153,12 @@ impl Driver {
             match &event {
                 Event::Scan(scan) => {
                     self.shared.scans.fetch_add(1, Relaxed);
-                    match &self.session.device().parameters {
-                        // A loss is counted by the queue and seen in the numbers of the scans.
-                        Some(parameters) => {
-                            drop(self.mapper.offer(ToMapper::Scan(Scan::from_scip(scan, parameters))))
-                        }
-                        None => self.count_error("scan_without_parameters"),
-                    }
+                    let Some(parameters) = &self.session.device().parameters else {
+                        self.count_error("scan_without_parameters");
+                        continue;
+                    };
+                    // A loss is counted by the queue and seen in the numbers of the scans.
+                    self.mapper.offer(ToMapper::Scan(Scan::from_scip(scan, parameters)));
                 }
                 Event::Skipped(skipped) => {
                     debug!("{skipped}");
