@@ -3,6 +3,7 @@
 pub mod cdr;
 pub mod cli;
 pub mod config;
+pub mod exit;
 pub mod grid;
 pub mod input;
 pub mod live;

@@ -1,0 +1,125 @@
+//! The mapper thread: takes scans and poses in the order in which they arrived, and tells the others what came of
+//! them. The grid's state depends on that order alone, which is what the recording keeps.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError};
+
+use super::queues::Sender;
+use super::shared::{Shared, lock};
+use crate::map::Map;
+use crate::mapper::{Mapper, MapperReport, Outcome};
+use crate::pose::{Pose, StampedPose};
+use crate::record::{Attachment, Record};
+use crate::scan::Scan;
+
+/// Longest wait for an entry, so that the watchdog sees a mapper with nothing to do as one that works.
+const PATIENCE: Duration = Duration::from_millis(500);
+/// How often the others learn what was done.
+const REPORT_PERIOD: Duration = Duration::from_secs(1);
+/// How long the last map may wait for the others to make room.
+const PATIENCE_AT_END: Duration = Duration::from_secs(20);
+
+/// What the mapper takes.
+#[derive(Debug)]
+pub enum ToMapper {
+    /// From the driver.
+    Scan(Scan),
+    /// From the pose thread.
+    Pose(StampedPose),
+}
+
+/// What the mapper tells main.
+#[derive(Debug)]
+pub enum FromMapper {
+    /// A scan was inserted here.
+    Inserted {
+        /// Time of its first beam (ns, monotonic).
+        stamp_ns: i64,
+        /// base_link then.
+        pose: Pose,
+    },
+    /// The map as it stands.
+    Map(Arc<Map>, MapperReport),
+}
+
+/// See the module.
+pub struct Mapping {
+    /// The grid and the poses.
+    pub mapper: Mapper,
+    /// Where the map and the trajectory go.
+    pub main: Sender<FromMapper>,
+    /// Where all goes that is recorded.
+    pub recorder: Option<Sender<Record>>,
+    /// Time between two maps.
+    pub map_every: Duration,
+    /// Progress.
+    pub shared: Arc<Shared>,
+}
+
+impl Mapping {
+    /// Maps until both senders are gone, then decides on the scans that still wait and gives the last map.
+    pub fn run(mut self, inbox: &Receiver<ToMapper>) {
+        let mut scans_taken = 0;
+        let mut last_map = Instant::now();
+        let mut last_report = Instant::now();
+        loop {
+            match inbox.recv_timeout(PATIENCE) {
+                Ok(ToMapper::Scan(scan)) => {
+                    if let Some(recorder) = &self.recorder {
+                        recorder.offer(Record::Scan(Arc::new(scan.clone())));
+                    }
+                    self.mapper.on_scan(scan);
+                    scans_taken += 1;
+                }
+                Ok(ToMapper::Pose(pose)) => {
+                    if let Some(recorder) = &self.recorder {
+                        recorder.offer(Record::PoseReceived { pose, scans_before: scans_taken });
+                    }
+                    self.mapper.on_pose(pose);
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            self.tell_outcomes();
+            if last_report.elapsed() >= REPORT_PERIOD {
+                *lock(&self.shared.mapper) = Some(self.mapper.report());
+                last_report = Instant::now();
+            }
+            if last_map.elapsed() >= self.map_every {
+                self.tell_map(Duration::ZERO);
+                last_map = Instant::now();
+            }
+            self.shared.mapper_steps.count();
+        }
+        self.mapper.finish();
+        self.tell_outcomes();
+        self.tell_map(PATIENCE_AT_END);
+    }
+
+    fn tell_outcomes(&mut self) {
+        while let Some(outcome) = self.mapper.next_outcome() {
+            let Outcome::Inserted { stamp_ns, start, .. } = outcome else { continue };
+            self.main.offer(FromMapper::Inserted { stamp_ns, pose: start });
+            if let Some(recorder) = &self.recorder {
+                recorder.offer(Record::PoseUsed { stamp_ns, pose: start });
+            }
+        }
+    }
+
+    fn tell_map(&mut self, patience: Duration) {
+        let map = Arc::new(self.mapper.map());
+        self.main.hand_over(FromMapper::Map(Arc::clone(&map), self.mapper.report()), patience);
+        let Some(recorder) = &self.recorder else { return };
+        recorder.hand_over(Record::Map(Arc::clone(&map)), patience);
+        if patience.is_zero() {
+            return;
+        }
+        if let Ok(data) = crate::output::npz(&map) {
+            let name = "map.npz".into();
+            let attachment = Attachment { name, media_type: "application/x-npz".into(), data };
+            recorder.hand_over(Record::Attachment(attachment), patience);
+        }
+    }
+}
