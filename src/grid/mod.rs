@@ -4,6 +4,7 @@ pub mod angle;
 pub mod cell;
 pub mod free;
 mod reflection;
+mod single_pass;
 mod snapshot;
 pub mod standard;
 pub mod surface;

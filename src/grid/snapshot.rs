@@ -53,7 +53,11 @@ impl Frame {
 impl Visagge {
     /// The map as it is now.
     pub fn map(&mut self) -> Map {
-        self.judge();
+        if self.as_in_the_paper {
+            self.remove_motion();
+        } else {
+            self.judge();
+        }
         let free = |place: TileIndex, rows: &[u64; SIDE as usize]| {
             let rows = *rows;
             (0..SIDE as usize).flat_map(move |row| {

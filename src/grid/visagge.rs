@@ -175,6 +175,7 @@ pub struct Visagge {
     pub(super) settings: VisaggeSettings,
     pub(super) resolution: f64,
     pub(super) tiles: Tiles<Tile>,
+    pub(super) as_in_the_paper: bool,
     tolerance: Tolerance,
     view: View,
     outline: Outline,
@@ -193,6 +194,7 @@ impl Visagge {
             settings,
             resolution,
             tiles: Tiles::default(),
+            as_in_the_paper: false,
             view: View::default(),
             outline: Outline::default(),
             scan: 0,
@@ -202,9 +204,11 @@ impl Visagge {
         }
     }
 
-    /// An empty grid with the verdict of the paper in place of ours.
+    /// An empty grid that works as the paper has it: one range of view angles, a constant error of the
+    /// localization, a beam without return as good as any, and the single-pass motion removal.
     pub fn as_in_the_paper(resolution: f64, settings: VisaggeSettings) -> Visagge {
-        Visagge::new(resolution, settings)
+        let settings = VisaggeSettings { two_ranges: false, ..settings };
+        Visagge { as_in_the_paper: true, ..Visagge::new(resolution, settings) }
     }
 
     /// Inserts one scan: VISAGGE CORE of the paper.
@@ -213,7 +217,10 @@ impl Visagge {
             return;
         }
         self.begin(sweep);
-        let rule = self.settings.rule(sweep.bearing_step().abs());
+        let mut rule = self.settings.rule(sweep.bearing_step().abs());
+        if self.as_in_the_paper {
+            rule = Rule { drift_least: rule.drift_most, silent_scans: 1, ..rule };
+        }
         self.record_hits(sweep, &rule);
         self.record_observations(&rule);
         self.record_free(sweep);
