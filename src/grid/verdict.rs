@@ -8,6 +8,7 @@
 //! not there at all.
 
 use super::{
+    angle::units,
     cell::Cell,
     reflection::{self, Image, Opacity},
     surface::{Line, Window},
@@ -51,6 +52,11 @@ const LEAST_LENGTH: f32 = 0.25;
 /// within 1 to 2 degrees of its normal where something stands behind it (paper, Fig. 7), and the line
 /// through a patch is uncertain by some degrees.
 const NORMAL: f64 = 0.14;
+
+/// What a beam has crossed before it was first seen has come, or is seen from some directions only. It is
+/// solid if it was seen over at least this range (rad), 10 degrees: a leg takes 0.3 s to cross a cell, and at 1 m/s a
+/// sensor 2 m away moves by 9 degrees meanwhile.
+const WIDE: f64 = 0.17;
 
 impl Visagge {
     /// Judges all cells around which something changed.
@@ -124,7 +130,8 @@ fn shape(cell: &Cell, line: Option<&Line>) -> Verdict {
     if cell.occupancy < LEAST_HITS {
         return Verdict::TooFew;
     }
-    if u32::from(cell.visible.range.width) >= 2 * u32::from(cell.widest_missed) {
+    let width = u32::from(cell.visible.range.width);
+    if width >= 2 * u32::from(cell.widest_missed) && (!cell.was_crossed || width >= units(WIDE)) {
         return Verdict::Solid;
     }
     if cell.passes > 0 {
