@@ -300,6 +300,11 @@ impl OffsetEstimate {
         Some(device_ns + offset_ns)
     }
 
+    /// Whether rounds have tied the clocks.
+    pub fn is_tied(&self) -> bool {
+        self.tie.is_some()
+    }
+
     /// Drift of the host's clock against the device's (parts in 10^9).
     pub fn drift_ppb(&self) -> Option<i64> {
         self.drift_ppb

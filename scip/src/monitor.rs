@@ -51,6 +51,8 @@ const MAX_SENT_LINE: usize = 256;
 const MAX_PENDING: usize = 32;
 /// Span over which the delivered rate is measured (ms of the device's clock).
 const RATE_MS: i64 = 4000;
+/// A hole of more scans than this is a pause (a held stream, a reconnection), not a slow link.
+const PAUSE_SCANS: u64 = 8;
 
 /// A request that was sent and not answered yet.
 #[derive(Clone, Copy, Debug)]
@@ -107,7 +109,7 @@ impl Monitor {
             offset: OffsetEstimate::new(),
             last_scan: None,
             was_reset: false,
-            counting: Rate { received: 0, due: 0, over_ms: 0, is_slow: false },
+            counting: Rate::default(),
             rate: None,
             events: VecDeque::new(),
         }
@@ -188,6 +190,11 @@ impl Monitor {
     /// Rate of the last whole span of 4 s.
     pub fn rate(&self) -> Option<Rate> {
         self.rate
+    }
+
+    /// Whether TM rounds have tied the device's clock to the host's since it last began anew.
+    pub fn is_synchronised(&self) -> bool {
+        self.offset.is_tied()
     }
 
     /// Drift of the host's clock against the device's (parts in 10^9), once measured.
@@ -341,6 +348,10 @@ impl Monitor {
     }
 
     fn count(&mut self, due: u64, over_ms: i64) {
+        if due > PAUSE_SCANS {
+            self.counting = Rate::default();
+            return;
+        }
         self.counting.received += 1;
         self.counting.due += due;
         self.counting.over_ms += over_ms;
@@ -351,7 +362,7 @@ impl Monitor {
         let is_slow = self.counting.received * 10 < self.counting.due * 9;
         let rate = Rate { is_slow, ..self.counting };
         self.rate = Some(rate);
-        self.counting = Rate { received: 0, due: 0, over_ms: 0, is_slow: false };
+        self.counting = Rate::default();
         if is_slow != was_slow {
             self.events.push_back(Event::Rate(rate));
         }
@@ -481,6 +492,14 @@ mod tests {
             })
             .collect();
         assert_eq!(rates, [Rate { received: 80, due: 160, over_ms: 4000, is_slow: true }]);
+    }
+
+    #[test]
+    fn a_pause_is_no_slow_link() {
+        let stamps: Vec<u32> = (0..400).map(|scan| scan * 25 + scan / 100 * 2000).collect();
+        let (_, others) = numbers(with_parameters(), 0, &stamps);
+        assert!(others.iter().all(|event| matches!(event, Event::Lost { scans: 80, .. })), "{others:?}");
+        assert_eq!(others.len(), 3);
     }
 
     #[test]

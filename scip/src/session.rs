@@ -138,6 +138,10 @@ pub struct Session {
 impl Session {
     /// II is read this often before a device is called unhealthy or a running laser is accepted.
     const STATE_READS: u32 = 3;
+    /// TM1 may go unanswered this often before the rounds are ended.
+    const SPARE_ROUNDS: u32 = 3;
+    /// A stream that lasted this long (ns) was no failure.
+    const LASTING_NS: i64 = 3_000_000_000;
     /// Detours of one start-up.
     const MAX_DETOURS: u32 = 8;
     /// Streams that may break on one connection before it is closed.
@@ -427,9 +431,8 @@ impl Session {
 
     fn on_step_skipped(&mut self, step: Step) {
         match step {
-            Step::EnterTime | Step::ReadTime { .. } => {
-                self.report(SessionEvent::NotSynchronised);
-                self.begin(Step::LeaveTime);
+            Step::ReadTime { rounds, spare } => {
+                self.begin(Step::ReadTime { rounds: rounds - 1, spare: spare.saturating_sub(1) });
             }
             step => self.on_step_done(step),
         }
@@ -449,10 +452,18 @@ impl Session {
             }
             Step::Parameters => self.begin(Step::State),
             Step::State => self.on_state_read(),
-            Step::EnterTime => self.begin(Step::ReadTime { rounds: self.settings.sync_rounds }),
-            Step::ReadTime { rounds: 0 | 1 } => self.begin(Step::LeaveTime),
-            Step::ReadTime { rounds } => self.begin(Step::ReadTime { rounds: rounds - 1 }),
-            Step::LeaveTime => self.begin(Step::LaserOn),
+            Step::EnterTime => {
+                let (rounds, spare) = (self.settings.sync_rounds, Self::SPARE_ROUNDS);
+                self.begin(Step::ReadTime { rounds, spare });
+            }
+            Step::ReadTime { rounds: 0 | 1, .. } => self.begin(Step::LeaveTime),
+            Step::ReadTime { rounds, spare } => self.begin(Step::ReadTime { rounds: rounds - 1, spare }),
+            Step::LeaveTime => {
+                if !self.monitor.is_synchronised() {
+                    self.report(SessionEvent::NotSynchronised);
+                }
+                self.begin(Step::LaserOn);
+            }
             Step::LaserOn => self.begin_stream(),
             Step::Stream(request) => self.on_streaming(request),
             Step::Reboot { .. } => {
@@ -525,7 +536,7 @@ impl Session {
         if let Phase::Streaming(streaming) = &mut self.phase {
             streaming.due_ns = due_ns;
             streaming.held = None;
-            if self.now_ns - streaming.since_ns > self.settings.patience.back_off_max_ns {
+            if self.now_ns - streaming.since_ns > Self::LASTING_NS {
                 self.failures = 0;
             }
         }

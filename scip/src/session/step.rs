@@ -26,6 +26,8 @@ pub(super) enum Step {
     ReadTime {
         /// Rounds still to be sent, this one included.
         rounds: u32,
+        /// Rounds that may still go unanswered.
+        spare: u32,
     },
     /// TM2.
     LeaveTime,
@@ -96,7 +98,8 @@ impl Step {
             // Not every model knows RS, VV and II; nothing that follows depends on them.
             (Step::Reset | Step::Version | Step::State, General(b'D'..=b'F')) => Next::Skip,
             (Step::EnterTime, Refused(2)) | (Step::LeaveTime, Refused(3)) => Next::Done,
-            (Step::ReadTime { .. }, _) => Next::Skip,
+            // 04: the device is not in the time mode.
+            (Step::ReadTime { .. }, _) => Next::Detour(Step::LeaveTime),
             (Step::LaserOn, Refused(2)) => Next::Done,
             (Step::Stream(_), Denied) => Next::Detour(Step::LaserOn),
             (Step::Stream(_), Refused(_) | General(b'C'..=b'H')) => Next::Fail,
@@ -109,7 +112,9 @@ impl Step {
         match self {
             Step::Quiet => Next::Detour(Step::SwitchFromScip1),
             Step::LeaveForgottenTime | Step::Reboot { .. } => Next::Done,
-            Step::Reset | Step::EnterTime | Step::ReadTime { .. } => Next::Skip,
+            Step::ReadTime { rounds: 2.., spare: 1.. } => Next::Skip,
+            Step::Reset => Next::Skip,
+            Step::EnterTime | Step::ReadTime { .. } => Next::Detour(Step::LeaveTime),
             _ => Next::Fail,
         }
     }
