@@ -118,6 +118,7 @@ impl Monitor {
     /// Bytes that the host sent at `now_ns`, in any chunks. Once this was called, scans that were not
     /// requested are reported as [`Event::StrayScan`].
     pub fn on_sent(&mut self, now_ns: i64, bytes: &[u8]) {
+        let now_ns = within_reason(now_ns);
         self.sees_requests = true;
         for &byte in bytes {
             if byte == b'\n' || byte == b'\r' {
@@ -143,6 +144,7 @@ impl Monitor {
 
     /// Bytes that were received at `now_ns` (of the first of them, where that is known).
     pub fn on_received(&mut self, now_ns: i64, bytes: &[u8]) {
+        let now_ns = within_reason(now_ns);
         if self.arrivals.back().is_none_or(|&(_, time)| time != now_ns) {
             self.arrivals.push_back((self.decoder.offset(), now_ns));
         }
@@ -380,7 +382,9 @@ impl Monitor {
                 self.offset.host_ns(scan.unwrapped_ms, latency_ns).unwrap_or(scan.first_byte_ns)
             }
         };
-        stamped_ns + parameters.map_or(0, |parameters| self.first_step_ns(parameters, scan.request.start))
+        stamped_ns.saturating_add(
+            parameters.map_or(0, |parameters| self.first_step_ns(parameters, scan.request.start)),
+        )
     }
 
     /// Time from the moment that is stamped to a step (ns).
@@ -395,10 +399,16 @@ impl Monitor {
     }
 }
 
+/// Times are cut to 36 years around 0, so that no sum overflows.
+pub(crate) fn within_reason(now_ns: i64) -> i64 {
+    now_ns.clamp(-(1 << 60), 1 << 60)
+}
+
 /// Scans that were due in a span of the device's time, to the nearest.
 fn turns(over_ms: i64, parameters: &Parameters, skip: u8) -> u64 {
     let minute_ms = 60_000 * (i64::from(skip) + 1);
-    let turns = (over_ms * i64::from(parameters.rpm) * 2 + minute_ms) / (2 * minute_ms);
+    let turns =
+        (over_ms.saturating_mul(2 * i64::from(parameters.rpm)).saturating_add(minute_ms)) / (2 * minute_ms);
     turns.max(0) as u64
 }
 

@@ -15,7 +15,7 @@ use step::{Next, Step};
 
 use crate::device::Device;
 use crate::event::{Event, SessionEvent, Trouble};
-use crate::monitor::Monitor;
+use crate::monitor::{Monitor, within_reason};
 use crate::request::{Command, Request, RequestError};
 use crate::status::Status;
 
@@ -74,6 +74,12 @@ struct Exchange {
     due_ns: i64,
     /// Whether a reply is awaited.
     sent: bool,
+}
+
+impl Exchange {
+    fn new(step: Step, now_ns: i64) -> Exchange {
+        Exchange { step, begun_ns: now_ns, attempts: 0, due_ns: now_ns, sent: false }
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -157,7 +163,7 @@ impl Session {
             monitor: Monitor::new(settings.monitor.clone()),
             settings,
             phase: Phase::Opening,
-            now_ns,
+            now_ns: within_reason(now_ns),
             stop_wanted: false,
             failures: 0,
             state_reads: 0,
@@ -170,7 +176,7 @@ impl Session {
 
     /// The connection is open.
     pub fn on_opened(&mut self, now_ns: i64) {
-        self.now_ns = now_ns;
+        self.now_ns = within_reason(now_ns);
         if !matches!(self.phase, Phase::Opening) {
             return;
         }
@@ -183,12 +189,12 @@ impl Session {
         }
         // An empty line has no reply, and ends whatever was half sent before.
         self.send(b"\n".to_vec());
-        self.phase = Phase::Draining { until_ns: now_ns + self.settings.patience.drain_ns };
+        self.phase = Phase::Draining { until_ns: self.now_ns + self.settings.patience.drain_ns };
     }
 
     /// The connection is closed as asked, was lost, or could not be opened.
     pub fn on_closed(&mut self, now_ns: i64) {
-        self.now_ns = now_ns;
+        self.now_ns = within_reason(now_ns);
         if matches!(self.phase, Phase::Stopped | Phase::Waiting { .. }) {
             return;
         }
@@ -203,12 +209,12 @@ impl Session {
         let wait_ns = self.reopen_after_ns.take().unwrap_or_else(|| self.back_off_ns());
         self.failures += 1;
         self.report(SessionEvent::Closed { retry_in_ns: Some(wait_ns) });
-        self.phase = Phase::Waiting { until_ns: now_ns + wait_ns };
+        self.phase = Phase::Waiting { until_ns: self.now_ns + wait_ns };
     }
 
     /// Bytes were received.
     pub fn on_received(&mut self, now_ns: i64, bytes: &[u8]) {
-        self.now_ns = now_ns;
+        self.now_ns = within_reason(now_ns);
         self.monitor.on_received(now_ns, bytes);
         self.forward_events();
         self.on_time(now_ns);
@@ -216,7 +222,7 @@ impl Session {
 
     /// Time went by; to be called at [`deadline_ns`](Session::deadline_ns) at the latest.
     pub fn on_time(&mut self, now_ns: i64) {
-        self.now_ns = now_ns;
+        self.now_ns = within_reason(now_ns);
         if self.deadline_ns().is_none_or(|deadline| now_ns < deadline) {
             return;
         }
@@ -241,11 +247,11 @@ impl Session {
 
     /// Turn the laser off, close, end. Asks to close within [`Patience::stop_ns`], whatever the device does.
     pub fn stop(&mut self, now_ns: i64) {
-        self.now_ns = now_ns;
+        self.now_ns = within_reason(now_ns);
         if std::mem::replace(&mut self.stop_wanted, true) {
             return;
         }
-        let until_ns = now_ns + self.settings.patience.stop_ns;
+        let until_ns = self.now_ns + self.settings.patience.stop_ns;
         match self.phase {
             Phase::Waiting { .. } => self.end(),
             Phase::Starting(exchange) => self.send_quit(until_ns, exchange.step.in_time_mode()),
@@ -342,8 +348,7 @@ impl Session {
     // Start-up
 
     fn begin(&mut self, step: Step) {
-        let now_ns = self.now_ns;
-        self.attempt(Exchange { step, begun_ns: now_ns, attempts: 0, due_ns: now_ns, sent: false });
+        self.attempt(Exchange::new(step, self.now_ns));
     }
 
     fn attempt(&mut self, mut exchange: Exchange) {
@@ -401,16 +406,18 @@ impl Session {
         match next {
             Next::Done => self.on_step_done(exchange.step),
             Next::Skip => self.on_step_skipped(exchange.step),
-            Next::Again => {
-                let due_ns = self.now_ns + self.settings.patience.retry_ns;
-                self.phase = Phase::Starting(Exchange { sent: false, due_ns, ..exchange });
-            }
+            Next::Again => self.try_later(exchange),
             Next::Detour(step) if self.detours < Self::MAX_DETOURS => self.take_detour(exchange, step),
             Next::Detour(_) | Next::Fail => {
                 self.report(SessionEvent::Trouble(trouble));
                 self.close();
             }
         }
+    }
+
+    fn try_later(&mut self, exchange: Exchange) {
+        let due_ns = self.now_ns + self.settings.patience.retry_ns;
+        self.phase = Phase::Starting(Exchange { sent: false, due_ns, ..exchange });
     }
 
     fn take_detour(&mut self, from: Exchange, step: Step) {
@@ -423,7 +430,7 @@ impl Session {
         }
         if step == Step::LaserOn {
             // The stream was denied: give the laser a moment before it is asked again.
-            self.follow(Exchange { step, ..from }, Next::Again, Trouble::EmptyWindow);
+            self.try_later(Exchange { step, ..from });
         } else {
             self.begin(step);
         }
@@ -481,9 +488,7 @@ impl Session {
         if self.device().laser_on() == Some(true) && may_read_again {
             self.begin(Step::Quiet);
         } else if is_unhealthy && may_read_again {
-            let (now_ns, due_ns) = (self.now_ns, self.now_ns + self.settings.patience.retry_ns);
-            let exchange = Exchange { step: Step::State, begun_ns: now_ns, attempts: 0, due_ns, sent: false };
-            self.phase = Phase::Starting(exchange);
+            self.try_later(Exchange::new(Step::State, self.now_ns));
         } else {
             if is_unhealthy {
                 self.report(SessionEvent::Unhealthy);
