@@ -86,6 +86,8 @@ impl Exchange {
 struct Streaming {
     request: Request,
     since_ns: i64,
+    /// When the last scan came, or the stream was accepted.
+    heard_ns: i64,
     /// When a scan is overdue, or the verification of an error.
     due_ns: i64,
     /// The status that holds the stream.
@@ -235,7 +237,7 @@ impl Session {
             Phase::Starting(exchange) if exchange.sent => self.on_no_reply(exchange),
             Phase::Starting(exchange) => self.attempt(exchange),
             Phase::Streaming(streaming) => {
-                let waited_ns = self.settings.patience.silence_ns;
+                let waited_ns = self.now_ns - streaming.heard_ns;
                 let held = streaming.held.map(Trouble::VerifyingTooLong);
                 self.on_stream_broken(held.unwrap_or(Trouble::Silent(waited_ns)));
             }
@@ -526,8 +528,10 @@ impl Session {
 
     fn on_streaming(&mut self, request: Request) {
         self.report(SessionEvent::Streaming(request));
-        let due_ns = self.now_ns + self.settings.patience.first_scan_ns;
-        self.phase = Phase::Streaming(Streaming { request, since_ns: self.now_ns, due_ns, held: None });
+        let now_ns = self.now_ns;
+        let due_ns = now_ns + self.settings.patience.first_scan_ns;
+        self.phase =
+            Phase::Streaming(Streaming { request, since_ns: now_ns, heard_ns: now_ns, due_ns, held: None });
     }
 
     fn silence_ns(&self) -> i64 {
@@ -539,6 +543,7 @@ impl Session {
     fn on_scan(&mut self) {
         let due_ns = self.now_ns + self.silence_ns();
         if let Phase::Streaming(streaming) = &mut self.phase {
+            streaming.heard_ns = self.now_ns;
             streaming.due_ns = due_ns;
             streaming.held = None;
             if self.now_ns - streaming.since_ns > Self::LASTING_NS {
@@ -611,7 +616,7 @@ impl Session {
 
     fn on_reply_stopping(&mut self, until_ns: i64, request: Request, status: Status) {
         match (request.command, status) {
-            (Command::Quit, Status::Done) => self.close(),
+            (Command::Quit, Status::Done | Status::Refused(_)) => self.close(),
             (Command::Quit, _) if self.detours < Self::MAX_DETOURS => {
                 self.detours += 1;
                 self.send_quit(until_ns, true);
