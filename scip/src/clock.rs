@@ -12,6 +12,8 @@ use std::collections::VecDeque;
 const WRAP_MS: i64 = 1 << 24;
 const MS: i64 = 1_000_000;
 const SECOND: i64 = 1_000_000_000;
+/// 139 years: where the unwrapped clock stops, so that no input, however strange, overflows a sum.
+const MAX_UNWRAPPED_MS: i64 = 1 << 42;
 
 /// A host that was held up may see stamps arrive this much later or earlier than they were taken (ms);
 /// more than that is a reset, not a wrap.
@@ -67,7 +69,7 @@ impl Unwrapper {
             Advance::Reset { .. } => elapsed_ms.unwrap_or(1).max(1),
             Advance::Same | Advance::First => 0,
         };
-        let unwrapped_ms = last.unwrapped_ms + step_ms;
+        let unwrapped_ms = (last.unwrapped_ms + step_ms).min(MAX_UNWRAPPED_MS);
         self.last = Some(Seen { raw_ms, unwrapped_ms, host_ns });
         (unwrapped_ms, advance)
     }
@@ -202,13 +204,14 @@ impl OffsetEstimate {
         // The stamp is the time cut to ms, so the offset lies in (sent - stamp - 1 ms, received - stamp].
         let most = fast().map(|round| round.received_ns - round.device_ns).min()?;
         let least = fast().map(|round| round.sent_ns - round.device_ns - MS).max()?;
-        let offset_ns = least + (most - least) / 2;
+        let width_ns = most.saturating_sub(least);
+        let offset_ns = least + width_ns / 2;
         let device_ns = fast().map(|round| round.device_ns).max()?;
         self.tie = Some(Point { device_ns, offset_ns });
         self.first.clear();
         self.envelope.clear();
         let rounds = fast().count() as u32;
-        Some(Tie { rounds, fastest_ns, offset_ns, uncertainty_ns: (most - least).abs() / 2 })
+        Some(Tie { rounds, fastest_ns, offset_ns, uncertainty_ns: width_ns.saturating_abs() / 2 })
     }
 
     /// A scan of this stamp began to arrive.
@@ -241,7 +244,8 @@ impl OffsetEstimate {
         }
         if self.first.len() == Self::FIRST_POINTS {
             let above = |point: &Point| {
-                point.offset_ns - tie.offset_ns - self.drift_over(point.device_ns - tie.device_ns)
+                let drift_ns = self.drift_over(point.device_ns - tie.device_ns);
+                point.offset_ns.saturating_sub(tie.offset_ns).saturating_sub(drift_ns)
             };
             self.latency_ns = self.first.iter().map(above).min();
         }
@@ -256,9 +260,9 @@ impl OffsetEstimate {
     fn measure_drift(&self) -> Option<i64> {
         let (first, last) = (self.envelope.front()?, self.envelope.back()?);
         let cross = |a: &Point, b: &Point, c: &Point| {
-            let (ab, ac) = (b.device_ns - a.device_ns, c.device_ns - a.device_ns);
-            i128::from(ab) * i128::from(c.offset_ns - a.offset_ns)
-                - i128::from(ac) * i128::from(b.offset_ns - a.offset_ns)
+            let run = |to: &Point| i128::from(to.device_ns) - i128::from(a.device_ns);
+            let rise = |to: &Point| i128::from(to.offset_ns) - i128::from(a.offset_ns);
+            run(b) * rise(c) - run(c) * rise(b)
         };
         let mut hull: Vec<Point> = Vec::new();
         for point in &self.envelope {
@@ -269,8 +273,9 @@ impl OffsetEstimate {
         }
         let middle = first.device_ns + (last.device_ns - first.device_ns) / 2;
         let edge = hull.windows(2).find(|edge| edge[1].device_ns >= middle)?;
-        let (run, rise) = (edge[1].device_ns - edge[0].device_ns, edge[1].offset_ns - edge[0].offset_ns);
-        let slope = i128::from(rise) * i128::from(SECOND) / i128::from(run.max(1));
+        let run = edge[1].device_ns - edge[0].device_ns;
+        let rise = i128::from(edge[1].offset_ns) - i128::from(edge[0].offset_ns);
+        let slope = rise * i128::from(SECOND) / i128::from(run.max(1));
         let square = |ns: i64| i128::from(ns / MS) * i128::from(ns / MS);
         let (known, unknown) = (square(last.device_ns - first.device_ns), square(Self::HALF_BELIEVED_NS));
         let before = i128::from(self.drift_before_ppb);
@@ -284,20 +289,26 @@ impl OffsetEstimate {
         let begun = self.envelope.front()?.device_ns;
         let reach = ((device_ns - begun) / 6).clamp(least, most);
         let near = self.envelope.iter().rev().take_while(|point| device_ns - point.device_ns <= reach);
-        near.map(|point| point.offset_ns + self.drift_over(device_ns - point.device_ns)).min()
+        near.map(|point| point.offset_ns.saturating_add(self.drift_over(device_ns - point.device_ns))).min()
     }
 
     /// Host's time at a value of the device's unwrapped clock. `nominal_latency_ns` serves where the
     /// latency was never measured.
     pub fn host_ns(&self, device_ms: i64, nominal_latency_ns: i64) -> Option<i64> {
         let device_ns = device_ms * MS;
-        let by_tie = |tie: Point| tie.offset_ns + self.drift_over(device_ns - tie.device_ns);
-        let by_envelope = |envelope: i64| envelope - self.latency_ns.unwrap_or(nominal_latency_ns);
+        let by_tie = |tie: Point| tie.offset_ns.saturating_add(self.drift_over(device_ns - tie.device_ns));
+        let by_envelope =
+            |envelope: i64| envelope.saturating_sub(self.latency_ns.unwrap_or(nominal_latency_ns));
         let offset_ns = match self.tie {
             Some(tie) if self.first.len() < Self::FIRST_POINTS => by_tie(tie),
             _ => by_envelope(self.envelope_at(device_ns)?),
         };
-        Some(device_ns + offset_ns)
+        Some(device_ns.saturating_add(offset_ns))
+    }
+
+    /// Whether rounds have tied the clocks.
+    pub fn is_tied(&self) -> bool {
+        self.tie.is_some()
     }
 
     /// Drift of the host's clock against the device's (parts in 10^9).

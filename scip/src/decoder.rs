@@ -168,7 +168,7 @@ impl Decoder {
             let line_start = self.line_ends.last().map_or(self.start, |&end| end + 1);
             // What is given up must not depend on the chunks, so no line is looked at beyond its limit.
             let limit = self.buffer.len().min(line_start + MAX_LINE + 1);
-            let Some(length) = self.buffer[self.searched..limit].iter().position(|&b| b == b'\n') else {
+            let Some(length) = line_length(&self.buffer[self.searched..limit]) else {
                 self.searched = limit;
                 let is_too_long = limit - line_start > MAX_LINE;
                 // The last bytes may be the start of an echo line glued to the garbage.
@@ -369,6 +369,16 @@ fn may_be_echo(line: &[u8], status: Status) -> bool {
         (Status::Scip1(_), _) => false,
         _ => line.len() <= MAX_STRANGE_ECHO && line.iter().all(|byte| (0x20..0x7f).contains(byte)),
     }
+}
+
+/// Bytes before the first LF. Whole chunks are looked at without a branch for each byte, which the compiler
+/// turns into vector code.
+fn line_length(bytes: &[u8]) -> Option<usize> {
+    const CHUNK: usize = 32;
+    let (chunks, _) = bytes.as_chunks::<CHUNK>();
+    let has_lf = |chunk: &[u8; CHUNK]| chunk.iter().fold(false, |found, &byte| found | (byte == b'\n'));
+    let from = CHUNK * chunks.iter().position(has_lf).unwrap_or(chunks.len());
+    bytes[from..].iter().position(|&byte| byte == b'\n').map(|length| from + length)
 }
 
 /// Content of a line whose last byte is the sum of the others.

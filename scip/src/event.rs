@@ -64,7 +64,7 @@ pub struct Synchronisation {
 }
 
 /// Scans delivered over a while of the device's time, beside those it should have delivered.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rate {
     /// Scans received.
     pub received: u64,

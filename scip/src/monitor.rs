@@ -51,6 +51,8 @@ const MAX_SENT_LINE: usize = 256;
 const MAX_PENDING: usize = 32;
 /// Span over which the delivered rate is measured (ms of the device's clock).
 const RATE_MS: i64 = 4000;
+/// A hole of more scans than this is a pause (a held stream, a reconnection), not a slow link.
+const PAUSE_SCANS: u64 = 8;
 
 /// A request that was sent and not answered yet.
 #[derive(Clone, Copy, Debug)]
@@ -107,7 +109,7 @@ impl Monitor {
             offset: OffsetEstimate::new(),
             last_scan: None,
             was_reset: false,
-            counting: Rate { received: 0, due: 0, over_ms: 0, is_slow: false },
+            counting: Rate::default(),
             rate: None,
             events: VecDeque::new(),
         }
@@ -116,6 +118,7 @@ impl Monitor {
     /// Bytes that the host sent at `now_ns`, in any chunks. Once this was called, scans that were not
     /// requested are reported as [`Event::StrayScan`].
     pub fn on_sent(&mut self, now_ns: i64, bytes: &[u8]) {
+        let now_ns = within_reason(now_ns);
         self.sees_requests = true;
         for &byte in bytes {
             if byte == b'\n' || byte == b'\r' {
@@ -141,6 +144,7 @@ impl Monitor {
 
     /// Bytes that were received at `now_ns` (of the first of them, where that is known).
     pub fn on_received(&mut self, now_ns: i64, bytes: &[u8]) {
+        let now_ns = within_reason(now_ns);
         if self.arrivals.back().is_none_or(|&(_, time)| time != now_ns) {
             self.arrivals.push_back((self.decoder.offset(), now_ns));
         }
@@ -188,6 +192,11 @@ impl Monitor {
     /// Rate of the last whole span of 4 s.
     pub fn rate(&self) -> Option<Rate> {
         self.rate
+    }
+
+    /// Whether TM rounds have tied the device's clock to the host's since it last began anew.
+    pub fn is_synchronised(&self) -> bool {
+        self.offset.is_tied()
     }
 
     /// Drift of the host's clock against the device's (parts in 10^9), once measured.
@@ -341,6 +350,10 @@ impl Monitor {
     }
 
     fn count(&mut self, due: u64, over_ms: i64) {
+        if due > PAUSE_SCANS {
+            self.counting = Rate::default();
+            return;
+        }
         self.counting.received += 1;
         self.counting.due += due;
         self.counting.over_ms += over_ms;
@@ -351,7 +364,7 @@ impl Monitor {
         let is_slow = self.counting.received * 10 < self.counting.due * 9;
         let rate = Rate { is_slow, ..self.counting };
         self.rate = Some(rate);
-        self.counting = Rate { received: 0, due: 0, over_ms: 0, is_slow: false };
+        self.counting = Rate::default();
         if is_slow != was_slow {
             self.events.push_back(Event::Rate(rate));
         }
@@ -369,7 +382,9 @@ impl Monitor {
                 self.offset.host_ns(scan.unwrapped_ms, latency_ns).unwrap_or(scan.first_byte_ns)
             }
         };
-        stamped_ns + parameters.map_or(0, |parameters| self.first_step_ns(parameters, scan.request.start))
+        stamped_ns.saturating_add(
+            parameters.map_or(0, |parameters| self.first_step_ns(parameters, scan.request.start)),
+        )
     }
 
     /// Time from the moment that is stamped to a step (ns).
@@ -384,10 +399,16 @@ impl Monitor {
     }
 }
 
+/// Times are cut to 36 years around 0, so that no sum overflows.
+pub(crate) fn within_reason(now_ns: i64) -> i64 {
+    now_ns.clamp(-(1 << 60), 1 << 60)
+}
+
 /// Scans that were due in a span of the device's time, to the nearest.
 fn turns(over_ms: i64, parameters: &Parameters, skip: u8) -> u64 {
     let minute_ms = 60_000 * (i64::from(skip) + 1);
-    let turns = (over_ms * i64::from(parameters.rpm) * 2 + minute_ms) / (2 * minute_ms);
+    let turns =
+        (over_ms.saturating_mul(2 * i64::from(parameters.rpm)).saturating_add(minute_ms)) / (2 * minute_ms);
     turns.max(0) as u64
 }
 
@@ -481,6 +502,14 @@ mod tests {
             })
             .collect();
         assert_eq!(rates, [Rate { received: 80, due: 160, over_ms: 4000, is_slow: true }]);
+    }
+
+    #[test]
+    fn a_pause_is_no_slow_link() {
+        let stamps: Vec<u32> = (0..400).map(|scan| scan * 25 + scan / 100 * 2000).collect();
+        let (_, others) = numbers(with_parameters(), 0, &stamps);
+        assert!(others.iter().all(|event| matches!(event, Event::Lost { scans: 80, .. })), "{others:?}");
+        assert_eq!(others.len(), 3);
     }
 
     #[test]

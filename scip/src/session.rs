@@ -15,7 +15,7 @@ use step::{Next, Step};
 
 use crate::device::Device;
 use crate::event::{Event, SessionEvent, Trouble};
-use crate::monitor::Monitor;
+use crate::monitor::{Monitor, within_reason};
 use crate::request::{Command, Request, RequestError};
 use crate::status::Status;
 
@@ -76,10 +76,18 @@ struct Exchange {
     sent: bool,
 }
 
+impl Exchange {
+    fn new(step: Step, now_ns: i64) -> Exchange {
+        Exchange { step, begun_ns: now_ns, attempts: 0, due_ns: now_ns, sent: false }
+    }
+}
+
 #[derive(Clone, Copy, Debug)]
 struct Streaming {
     request: Request,
     since_ns: i64,
+    /// When the last scan came, or the stream was accepted.
+    heard_ns: i64,
     /// When a scan is overdue, or the verification of an error.
     due_ns: i64,
     /// The status that holds the stream.
@@ -138,6 +146,10 @@ pub struct Session {
 impl Session {
     /// II is read this often before a device is called unhealthy or a running laser is accepted.
     const STATE_READS: u32 = 3;
+    /// TM1 may go unanswered this often before the rounds are ended.
+    const SPARE_ROUNDS: u32 = 3;
+    /// A stream that lasted this long (ns) was no failure.
+    const LASTING_NS: i64 = 3_000_000_000;
     /// Detours of one start-up.
     const MAX_DETOURS: u32 = 8;
     /// Streams that may break on one connection before it is closed.
@@ -153,7 +165,7 @@ impl Session {
             monitor: Monitor::new(settings.monitor.clone()),
             settings,
             phase: Phase::Opening,
-            now_ns,
+            now_ns: within_reason(now_ns),
             stop_wanted: false,
             failures: 0,
             state_reads: 0,
@@ -166,7 +178,7 @@ impl Session {
 
     /// The connection is open.
     pub fn on_opened(&mut self, now_ns: i64) {
-        self.now_ns = now_ns;
+        self.now_ns = within_reason(now_ns);
         if !matches!(self.phase, Phase::Opening) {
             return;
         }
@@ -179,12 +191,12 @@ impl Session {
         }
         // An empty line has no reply, and ends whatever was half sent before.
         self.send(b"\n".to_vec());
-        self.phase = Phase::Draining { until_ns: now_ns + self.settings.patience.drain_ns };
+        self.phase = Phase::Draining { until_ns: self.now_ns + self.settings.patience.drain_ns };
     }
 
     /// The connection is closed as asked, was lost, or could not be opened.
     pub fn on_closed(&mut self, now_ns: i64) {
-        self.now_ns = now_ns;
+        self.now_ns = within_reason(now_ns);
         if matches!(self.phase, Phase::Stopped | Phase::Waiting { .. }) {
             return;
         }
@@ -199,12 +211,12 @@ impl Session {
         let wait_ns = self.reopen_after_ns.take().unwrap_or_else(|| self.back_off_ns());
         self.failures += 1;
         self.report(SessionEvent::Closed { retry_in_ns: Some(wait_ns) });
-        self.phase = Phase::Waiting { until_ns: now_ns + wait_ns };
+        self.phase = Phase::Waiting { until_ns: self.now_ns + wait_ns };
     }
 
     /// Bytes were received.
     pub fn on_received(&mut self, now_ns: i64, bytes: &[u8]) {
-        self.now_ns = now_ns;
+        self.now_ns = within_reason(now_ns);
         self.monitor.on_received(now_ns, bytes);
         self.forward_events();
         self.on_time(now_ns);
@@ -212,7 +224,7 @@ impl Session {
 
     /// Time went by; to be called at [`deadline_ns`](Session::deadline_ns) at the latest.
     pub fn on_time(&mut self, now_ns: i64) {
-        self.now_ns = now_ns;
+        self.now_ns = within_reason(now_ns);
         if self.deadline_ns().is_none_or(|deadline| now_ns < deadline) {
             return;
         }
@@ -225,7 +237,7 @@ impl Session {
             Phase::Starting(exchange) if exchange.sent => self.on_no_reply(exchange),
             Phase::Starting(exchange) => self.attempt(exchange),
             Phase::Streaming(streaming) => {
-                let waited_ns = self.settings.patience.silence_ns;
+                let waited_ns = self.now_ns - streaming.heard_ns;
                 let held = streaming.held.map(Trouble::VerifyingTooLong);
                 self.on_stream_broken(held.unwrap_or(Trouble::Silent(waited_ns)));
             }
@@ -237,11 +249,11 @@ impl Session {
 
     /// Turn the laser off, close, end. Asks to close within [`Patience::stop_ns`], whatever the device does.
     pub fn stop(&mut self, now_ns: i64) {
-        self.now_ns = now_ns;
+        self.now_ns = within_reason(now_ns);
         if std::mem::replace(&mut self.stop_wanted, true) {
             return;
         }
-        let until_ns = now_ns + self.settings.patience.stop_ns;
+        let until_ns = self.now_ns + self.settings.patience.stop_ns;
         match self.phase {
             Phase::Waiting { .. } => self.end(),
             Phase::Starting(exchange) => self.send_quit(until_ns, exchange.step.in_time_mode()),
@@ -338,8 +350,7 @@ impl Session {
     // Start-up
 
     fn begin(&mut self, step: Step) {
-        let now_ns = self.now_ns;
-        self.attempt(Exchange { step, begun_ns: now_ns, attempts: 0, due_ns: now_ns, sent: false });
+        self.attempt(Exchange::new(step, self.now_ns));
     }
 
     fn attempt(&mut self, mut exchange: Exchange) {
@@ -397,16 +408,18 @@ impl Session {
         match next {
             Next::Done => self.on_step_done(exchange.step),
             Next::Skip => self.on_step_skipped(exchange.step),
-            Next::Again => {
-                let due_ns = self.now_ns + self.settings.patience.retry_ns;
-                self.phase = Phase::Starting(Exchange { sent: false, due_ns, ..exchange });
-            }
+            Next::Again => self.try_later(exchange),
             Next::Detour(step) if self.detours < Self::MAX_DETOURS => self.take_detour(exchange, step),
             Next::Detour(_) | Next::Fail => {
                 self.report(SessionEvent::Trouble(trouble));
                 self.close();
             }
         }
+    }
+
+    fn try_later(&mut self, exchange: Exchange) {
+        let due_ns = self.now_ns + self.settings.patience.retry_ns;
+        self.phase = Phase::Starting(Exchange { sent: false, due_ns, ..exchange });
     }
 
     fn take_detour(&mut self, from: Exchange, step: Step) {
@@ -419,7 +432,7 @@ impl Session {
         }
         if step == Step::LaserOn {
             // The stream was denied: give the laser a moment before it is asked again.
-            self.follow(Exchange { step, ..from }, Next::Again, Trouble::EmptyWindow);
+            self.try_later(Exchange { step, ..from });
         } else {
             self.begin(step);
         }
@@ -427,9 +440,8 @@ impl Session {
 
     fn on_step_skipped(&mut self, step: Step) {
         match step {
-            Step::EnterTime | Step::ReadTime { .. } => {
-                self.report(SessionEvent::NotSynchronised);
-                self.begin(Step::LeaveTime);
+            Step::ReadTime { rounds, spare } => {
+                self.begin(Step::ReadTime { rounds: rounds - 1, spare: spare.saturating_sub(1) });
             }
             step => self.on_step_done(step),
         }
@@ -449,10 +461,18 @@ impl Session {
             }
             Step::Parameters => self.begin(Step::State),
             Step::State => self.on_state_read(),
-            Step::EnterTime => self.begin(Step::ReadTime { rounds: self.settings.sync_rounds }),
-            Step::ReadTime { rounds: 0 | 1 } => self.begin(Step::LeaveTime),
-            Step::ReadTime { rounds } => self.begin(Step::ReadTime { rounds: rounds - 1 }),
-            Step::LeaveTime => self.begin(Step::LaserOn),
+            Step::EnterTime => {
+                let (rounds, spare) = (self.settings.sync_rounds, Self::SPARE_ROUNDS);
+                self.begin(Step::ReadTime { rounds, spare });
+            }
+            Step::ReadTime { rounds: 0 | 1, .. } => self.begin(Step::LeaveTime),
+            Step::ReadTime { rounds, spare } => self.begin(Step::ReadTime { rounds: rounds - 1, spare }),
+            Step::LeaveTime => {
+                if !self.monitor.is_synchronised() {
+                    self.report(SessionEvent::NotSynchronised);
+                }
+                self.begin(Step::LaserOn);
+            }
             Step::LaserOn => self.begin_stream(),
             Step::Stream(request) => self.on_streaming(request),
             Step::Reboot { .. } => {
@@ -470,9 +490,7 @@ impl Session {
         if self.device().laser_on() == Some(true) && may_read_again {
             self.begin(Step::Quiet);
         } else if is_unhealthy && may_read_again {
-            let (now_ns, due_ns) = (self.now_ns, self.now_ns + self.settings.patience.retry_ns);
-            let exchange = Exchange { step: Step::State, begun_ns: now_ns, attempts: 0, due_ns, sent: false };
-            self.phase = Phase::Starting(exchange);
+            self.try_later(Exchange::new(Step::State, self.now_ns));
         } else {
             if is_unhealthy {
                 self.report(SessionEvent::Unhealthy);
@@ -510,8 +528,10 @@ impl Session {
 
     fn on_streaming(&mut self, request: Request) {
         self.report(SessionEvent::Streaming(request));
-        let due_ns = self.now_ns + self.settings.patience.first_scan_ns;
-        self.phase = Phase::Streaming(Streaming { request, since_ns: self.now_ns, due_ns, held: None });
+        let now_ns = self.now_ns;
+        let due_ns = now_ns + self.settings.patience.first_scan_ns;
+        self.phase =
+            Phase::Streaming(Streaming { request, since_ns: now_ns, heard_ns: now_ns, due_ns, held: None });
     }
 
     fn silence_ns(&self) -> i64 {
@@ -523,9 +543,10 @@ impl Session {
     fn on_scan(&mut self) {
         let due_ns = self.now_ns + self.silence_ns();
         if let Phase::Streaming(streaming) = &mut self.phase {
+            streaming.heard_ns = self.now_ns;
             streaming.due_ns = due_ns;
             streaming.held = None;
-            if self.now_ns - streaming.since_ns > self.settings.patience.back_off_max_ns {
+            if self.now_ns - streaming.since_ns > Self::LASTING_NS {
                 self.failures = 0;
             }
         }
@@ -595,7 +616,7 @@ impl Session {
 
     fn on_reply_stopping(&mut self, until_ns: i64, request: Request, status: Status) {
         match (request.command, status) {
-            (Command::Quit, Status::Done) => self.close(),
+            (Command::Quit, Status::Done | Status::Refused(_)) => self.close(),
             (Command::Quit, _) if self.detours < Self::MAX_DETOURS => {
                 self.detours += 1;
                 self.send_quit(until_ns, true);

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use scip::decoder::MAX_REPLY;
 use scip::{
     Body, Command, DecodeError, Decoder, Echo, Event, Fields, FurtherEcho, Located, Monitor, MonitorOptions,
-    Reply, Request, ScanData, ScanKind, ScanRequest, Status, Text,
+    Reply, Request, ScanData, ScanKind, ScanRequest, Session, SessionSettings, Status, Text,
 };
 
 fn drain(decoder: &mut Decoder) -> Vec<Result<Located, DecodeError>> {
@@ -237,20 +237,61 @@ proptest! {
     }
 
     #[test]
-    fn a_monitor_takes_anything(traffic in vec((any::<bool>(), likely_bytes()), 0..6)) {
-        let mut monitor = Monitor::new(MonitorOptions::default());
-        for (step, (is_sent, bytes)) in traffic.into_iter().enumerate() {
-            let now_ns = step as i64 * 25_000_000;
+    fn a_monitor_takes_anything_at_any_time(
+        traffic in vec((any::<bool>(), prop_oneof![any::<i64>(), 0i64..1_000_000_000_000], wire_bytes()), 0..30),
+    ) {
+        let parameters = scip::model::find("UTM-30LX").and_then(scip::Parameters::of_model);
+        let mut monitor = Monitor::new(MonitorOptions { parameters, ..MonitorOptions::default() });
+        for (is_sent, now_ns, bytes) in traffic {
             if is_sent { monitor.on_sent(now_ns, &bytes) } else { monitor.on_received(now_ns, &bytes) }
         }
         let mut last = None;
         while let Some(event) = monitor.next_event() {
+            let _ = event.to_string();
             if let Event::Scan(scan) = event {
                 prop_assert!(last.is_none_or(|last| scan.seq > last));
                 last = Some(scan.seq);
             }
         }
     }
+
+    #[test]
+    fn a_session_takes_anything_at_any_time(
+        traffic in vec((0u8..8, prop_oneof![any::<i64>(), 0i64..100_000_000_000], wire_bytes()), 0..60),
+    ) {
+        let mut session = Session::new(SessionSettings::default(), 0).unwrap();
+        for (what, now_ns, bytes) in traffic {
+            match what {
+                0 => session.on_opened(now_ns),
+                1 => session.on_closed(now_ns),
+                2 => session.on_time(now_ns),
+                3 => session.stop(now_ns),
+                _ => session.on_received(now_ns, &bytes),
+            }
+            while session.next_action().is_some() {}
+            while session.next_event().is_some() {}
+        }
+    }
+}
+
+/// Bytes of whole exchanges, and of none.
+fn wire_bytes() -> impl Strategy<Value = Vec<u8>> {
+    prop_oneof![
+        2 => likely_bytes(),
+        2 => reply().prop_map(|reply| emit(&[reply])),
+        1 => Just(b"TM0\nTM1\nTM1\nTM2\n".to_vec()),
+        1 => (0u32..1 << 24).prop_map(|ms| {
+            let echo = |command: Command| Echo::Request(command.into());
+            let done = |command, body| Reply { echo: echo(command), status: Status::Done, body };
+            emit(&[
+                done(Command::TimeEnter, Body::Empty),
+                done(Command::TimeRead, Body::Time(ms)),
+                done(Command::TimeLeave, Body::Empty),
+            ])
+        }),
+        1 => prop::sample::select(vec!["QT", "RS", "VV", "II", "TM0", "BM", "ME0000108001000"])
+            .prop_map(|echo| format!("{echo}\n00P\n\n").into_bytes()),
+    ]
 }
 
 #[test]

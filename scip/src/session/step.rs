@@ -26,6 +26,8 @@ pub(super) enum Step {
     ReadTime {
         /// Rounds still to be sent, this one included.
         rounds: u32,
+        /// Rounds that may still go unanswered.
+        spare: u32,
     },
     /// TM2.
     LeaveTime,
@@ -90,13 +92,17 @@ impl Step {
             (_, Abnormal) => Next::Detour(Step::Reboot { again: false }),
             (_, Done) => Next::Done,
             (_, Unstable) => Next::Again,
+            // Off already.
+            (Step::Quiet, Refused(_)) => Next::Done,
             (Step::Quiet, General(_) | Denied) => Next::Detour(Step::LeaveForgottenTime),
             // 03: was not in the time mode; anything else shows in the next answer to QT.
             (Step::LeaveForgottenTime, _) => Next::Done,
-            // Not every model knows RS, VV and II; nothing that follows depends on them.
-            (Step::Reset | Step::Version | Step::State, General(b'D'..=b'F')) => Next::Skip,
+            // Not every model knows RS, VV and II in every state; nothing that follows depends on them.
+            (Step::Reset, General(b'D'..=b'F')) => Next::Skip,
+            (Step::Version | Step::State, General(_) | Refused(_) | Denied) => Next::Skip,
             (Step::EnterTime, Refused(2)) | (Step::LeaveTime, Refused(3)) => Next::Done,
-            (Step::ReadTime { .. }, _) => Next::Skip,
+            // 04: the device is not in the time mode.
+            (Step::ReadTime { .. }, _) => Next::Detour(Step::LeaveTime),
             (Step::LaserOn, Refused(2)) => Next::Done,
             (Step::Stream(_), Denied) => Next::Detour(Step::LaserOn),
             (Step::Stream(_), Refused(_) | General(b'C'..=b'H')) => Next::Fail,
@@ -109,8 +115,48 @@ impl Step {
         match self {
             Step::Quiet => Next::Detour(Step::SwitchFromScip1),
             Step::LeaveForgottenTime | Step::Reboot { .. } => Next::Done,
-            Step::Reset | Step::EnterTime | Step::ReadTime { .. } => Next::Skip,
+            Step::ReadTime { rounds: 2.., spare: 1.. } => Next::Skip,
+            Step::Reset => Next::Skip,
+            Step::EnterTime | Step::ReadTime { .. } => Next::Detour(Step::LeaveTime),
             _ => Next::Fail,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn answers_and_what_they_lead_to() {
+        let status = |code: &[u8; 2]| Status::from_code(*code);
+        for (step, code, next) in [
+            (Step::Quiet, b"00", Next::Done),
+            (Step::Quiet, b"02", Next::Done),
+            (Step::Quiet, b"0E", Next::Detour(Step::LeaveForgottenTime)),
+            (Step::Quiet, b"10", Next::Detour(Step::LeaveForgottenTime)),
+            (Step::Quiet, b"0L", Next::Detour(Step::Reboot { again: false })),
+            (Step::LeaveForgottenTime, b"03", Next::Done),
+            (Step::SwitchFromScip1, b"0E", Next::Done),
+            (Step::Reset, b"0E", Next::Skip),
+            (Step::Reset, b"0M", Next::Again),
+            (Step::State, b"10", Next::Skip),
+            (Step::Parameters, b"0B", Next::Again),
+            (Step::EnterTime, b"02", Next::Done),
+            (Step::EnterTime, b"01", Next::Again),
+            (Step::ReadTime { rounds: 5, spare: 3 }, b"04", Next::Detour(Step::LeaveTime)),
+            (Step::LeaveTime, b"03", Next::Done),
+            (Step::LaserOn, b"02", Next::Done),
+            (Step::LaserOn, b"01", Next::Again),
+            (Step::Reboot { again: false }, b"01", Next::Detour(Step::Reboot { again: true })),
+            (Step::Reboot { again: true }, b"00", Next::Done),
+        ] {
+            assert_eq!(step.after(status(code)), next, "{step:?} {}", code.escape_ascii());
+        }
+        let stream = Step::Stream(Command::LaserOn.into());
+        assert_eq!(stream.after(status(b"10")), Next::Detour(Step::LaserOn));
+        assert_eq!(stream.after(status(b"04")), Next::Fail);
+        assert_eq!(stream.after(status(b"0B")), Next::Again);
+        assert_eq!(Step::Quiet.after(Status::Scip1(b'E')), Next::Detour(Step::SwitchFromScip1));
     }
 }

@@ -29,6 +29,8 @@ struct Faults {
     stuck_stamps: bool,
     says_unhealthy: u32,
     lost_acknowledgement: bool,
+    /// TM1 is ignored this often.
+    deaf_to_clock: u32,
     needs_reboot: bool,
 }
 
@@ -111,6 +113,10 @@ impl Device {
             "TM0" => {
                 faults.time_mode = true;
                 "00P\n".into()
+            }
+            "TM1" if faults.deaf_to_clock > 0 => {
+                faults.deaf_to_clock -= 1;
+                String::new()
             }
             "TM1" => {
                 let mut time = Vec::new();
@@ -347,6 +353,18 @@ fn tm0_that_fails_for_seconds_after_the_connection() {
     let scan = usb.scans.last().unwrap();
     let true_ns = usb.device.zero_ns + i64::from(scan.stamp_ms) * MS;
     assert!((scan.stamp_ns - true_ns).abs() <= 2 * MS, "the nominal latency serves");
+}
+
+#[test]
+fn rounds_without_an_answer() {
+    let mut some = Bench::usb(Faults { deaf_to_clock: 2, ..Faults::default() });
+    some.run_until(3 * SECOND);
+    assert!(some.is_streaming() && !some.reported(SessionEvent::NotSynchronised));
+    assert_eq!(some.requests().matches("TM1").count(), 12);
+    let mut all = Bench::usb(Faults { deaf_to_clock: 99, ..Faults::default() });
+    all.run_until(4 * SECOND);
+    assert!(all.is_streaming() && all.reported(SessionEvent::NotSynchronised));
+    assert!(all.requests().contains("TM1 TM1 TM1 TM1 TM2 BM"));
 }
 
 #[test]
