@@ -1,7 +1,7 @@
 //! Makes worlds from a seed, so that nothing is tuned to the shipped ones alone.
 
 use crate::noise::Random;
-use crate::world::{Circle, Course, Frame, Person, Rectangle, Robot, Surface, World, WorldError};
+use crate::world::{Arc, Circle, Course, Frame, Move, Person, Rectangle, Robot, Surface, World, WorldError};
 
 /// Kinds of worlds and what they are.
 pub const KINDS: [(&str, &str); 4] = [
@@ -112,6 +112,28 @@ impl Maker {
         });
     }
 
+    /// A quarter of a circle of glass.
+    fn round_corner(&mut self, center: [f64; 2], radius: f64, from_deg: f64) {
+        let radius = millimetres(radius);
+        let arc = Some(Arc { center: center.map(millimetres), radius, from_deg, to_deg: from_deg + 90.0 });
+        let material = self.glass().into();
+        self.world.surfaces.push(Surface { material, arc, ..Default::default() });
+    }
+
+    /// A leaf of a door that slides along the wall in front of which it hangs, once and perhaps back.
+    fn sliding_door(&mut self, material: &str, a: [f64; 2], b: [f64; 2]) {
+        let by = [b[0] - a[0], b[1] - a[1]].map(millimetres);
+        let at = millimetres(self.random.uniform(8.0, 30.0));
+        let mut moves = vec![Move { at, by, seconds: 1.5 }];
+        if self.random.chance(0.5) {
+            moves.push(Move { at: at + 8.0, by: by.map(|v| -v), seconds: 1.5 });
+        }
+        self.line(material, &[a, b], None);
+        if let Some(door) = self.world.surfaces.last_mut() {
+            door.moves = moves;
+        }
+    }
+
     fn person(&mut self, path: &[[f64; 2]], course: Course) {
         let path = path.iter().map(|p| p.map(millimetres)).collect();
         self.world.people.push(Person {
@@ -156,8 +178,20 @@ impl Maker {
             [x0, y1 - cut],
             [x0, y0 + cut],
         ];
+        let is_round = self.random.chance(0.5);
         for i in 0..8 {
             let (a, b) = (corners[i], corners[(i + 1) % 8]);
+            if is_round && i % 2 == 1 {
+                // Centre of the corner's arc; the corners go south-east, north-east, north-west, south-west.
+                let center = match i {
+                    1 => [x1 - cut, y0 + cut],
+                    3 => [x1 - cut, y1 - cut],
+                    5 => [x0 + cut, y1 - cut],
+                    _ => [x0 + cut, y0 + cut],
+                };
+                self.round_corner(center, cut, -90.0 + 90.0 * ((i - 1) / 2) as f64);
+                continue;
+            }
             let material = if self.random.chance(0.12) { "wall" } else { self.glass() };
             let frame = if material == "wall" { None } else { self.frame(0.25) };
             self.line(material, &[a, b], frame);
@@ -184,6 +218,11 @@ impl Maker {
             self.person(&ring, Course::Loop);
         }
         self.things_along(w, walk);
+        if self.random.chance(0.5) {
+            let y = self.random.uniform(0.3, 0.6) * h;
+            let material = if self.random.chance(0.5) { "glass" } else { "wood" };
+            self.sliding_door(material, [w - 0.15, y], [w - 0.15, y + 1.1]);
+        }
     }
 
     /// Bins and cabinets along the south wall; some go away.
@@ -333,6 +372,9 @@ impl Maker {
                 }
             }
         }
+        let door = self.random.uniform(0.3, 0.6) * w;
+        let material = if self.random.chance(0.6) { "glass" } else { "wood" };
+        self.sliding_door(material, [door, 0.3], [door + 1.2, 0.3]);
         let lane = self.random.uniform(1.5, 2.1);
         self.world.robot.path =
             [[w / 2.0, lane], [w - lane, lane], [w - lane, h - lane], [lane, h - lane], [lane, lane]]

@@ -4,7 +4,7 @@
 //! - [`world`]: worlds as TOML; [`generate`]: more of them from a seed; [`scene`], [`geometry`], [`drive`]: the same, made ready to be looked at over time.
 //! - [`light`]: what a beam brings back. [`simulation`]: a drive in virtual time; [`pose_error`]: its reported poses.
 //! - [`device`]: the SCIP responder, on a pty or TCP in real time; [`pose_message`]: its poses as datagrams.
-//! - [`truth`] and [`score`]: what a map should look like, and how near one comes.
+//! - [`truth`] and [`mod@score`]: what a map should look like, and how near one comes.
 //!
 //! ```
 //! use scipsim::{Simulation, SimulationOptions, World};

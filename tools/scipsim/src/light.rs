@@ -132,6 +132,9 @@ pub fn intensity(brightness: f64) -> f64 {
 pub struct Tracer<'a> {
     scene: &'a Scene,
     moment: &'a Moment,
+    /// Of the beam at hand: when it was fired (s), and where the robot was.
+    time: f64,
+    robot: Pose,
     returns: Vec<Return>,
 }
 
@@ -152,7 +155,7 @@ struct Ray {
 impl<'a> Tracer<'a> {
     /// For the beams of one scan.
     pub fn new(scene: &'a Scene, moment: &'a Moment) -> Tracer<'a> {
-        Tracer { scene, moment, returns: Vec::new() }
+        Tracer { scene, moment, time: 0.0, robot: Pose::identity(), returns: Vec::new() }
     }
 
     /// The reading of a beam fired at `time` (s) from `origin` along `direction`, the robot being at `robot`.
@@ -165,6 +168,7 @@ impl<'a> Tracer<'a> {
         random: &mut Random,
     ) -> Reading {
         self.returns.clear();
+        (self.time, self.robot) = (time, robot);
         let ray = Ray {
             origin,
             direction,
@@ -174,7 +178,7 @@ impl<'a> Tracer<'a> {
             depth: 0,
             spread: 1.0,
         };
-        self.follow(ray, robot, time, random);
+        self.follow(ray, random);
         if random.chance(RANDOM_READING) {
             let truth = BeamTruth { source: Source::Random, ..NOTHING };
             return Reading { range: Some(random.uniform(0.1, RANDOM_REACH)), brightness: FLOOR, truth };
@@ -201,14 +205,15 @@ impl<'a> Tracer<'a> {
     }
 
     /// Follows a ray to the first thing it meets, notes what comes back, and goes on with what is left.
-    fn follow(&mut self, ray: Ray, robot: Pose, time: f64, random: &mut Random) {
+    fn follow(&mut self, ray: Ray, random: &mut Random) {
         // Beyond this way even a white wall would be too dark.
         let limit = (2.0 * ray.share / FLOOR).sqrt() - ray.travelled;
         if limit <= 0.0 {
             return;
         }
-        let body = (ray.route == Route::Reflected).then_some(robot);
-        let Some(met) = self.scene.first(ray.origin, ray.direction, limit, self.moment, time, body) else {
+        let body = (ray.route == Route::Reflected).then_some(self.robot);
+        let Some(met) = self.scene.first(ray.origin, ray.direction, limit, self.moment, self.time, body)
+        else {
             return;
         };
         let distance = ray.travelled + met.crossing.distance;
@@ -228,7 +233,7 @@ impl<'a> Tracer<'a> {
                     Kind::Diffuse => skin.material.albedo * cosine,
                     _ => gloss(skin, &met, cosine, distance),
                 };
-                self.go_on(ray, &met, skin, cosine, robot, time, random);
+                self.go_on(ray, &met, skin, cosine, random);
                 (kind, Source::Placement(placement), brightness)
             }
         };
@@ -244,17 +249,7 @@ impl<'a> Tracer<'a> {
     }
 
     /// The reflected and the transmitted ray.
-    #[allow(clippy::too_many_arguments)]
-    fn go_on(
-        &mut self,
-        ray: Ray,
-        met: &Met,
-        skin: &Skin,
-        cosine: f64,
-        robot: Pose,
-        time: f64,
-        random: &mut Random,
-    ) {
+    fn go_on(&mut self, ray: Ray, met: &Met, skin: &Skin, cosine: f64, random: &mut Random) {
         let reflected = match skin.material.kind {
             Kind::Diffuse => return,
             Kind::Glass => glass_share(cosine, skin.material.panes),
@@ -270,7 +265,7 @@ impl<'a> Tracer<'a> {
         if skin.material.kind == Kind::Glass {
             let passed = 1.0 - reflected;
             let route = if ray.route == Route::Direct { Route::Transmitted } else { ray.route };
-            self.follow(Ray { share: ray.share * passed * passed, route, ..next }, robot, time, random);
+            self.follow(Ray { share: ray.share * passed * passed, route, ..next }, random);
         }
         // A bulging mirror spreads the light that comes back: at equal distances before and behind it
         // the beam is (1 + travelled / (radius cosine)) times as wide. A hollow one is taken as flat.
@@ -288,8 +283,6 @@ impl<'a> Tracer<'a> {
                 spread: ray.spread * bulge,
                 ..next
             },
-            robot,
-            time,
             random,
         );
     }

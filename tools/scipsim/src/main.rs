@@ -59,6 +59,11 @@ enum Command {
     },
     /// Lists the shipped worlds and the kinds that can be generated.
     Worlds,
+    /// Prints a world as TOML, to be changed.
+    Show {
+        /// A shipped world, or a TOML file.
+        world: String,
+    },
     /// Prints a generated world as TOML.
     Generate {
         /// Kind of the world; see `scipsim worlds`.
@@ -90,6 +95,10 @@ fn main() -> Result<()> {
         }
         Command::Worlds => {
             list_worlds();
+            Ok(())
+        }
+        Command::Show { world } => {
+            print!("{}", World::load(&world)?.to_toml());
             Ok(())
         }
         Command::Generate { kind, seed } => {

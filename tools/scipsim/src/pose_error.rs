@@ -44,7 +44,7 @@ pub enum PoseError {
         /// Deviation of the heading (rad).
         heading: f64,
     },
-    /// See [`PoseSource::Wheels`]: poses every [`INTEGRATION`] seconds.
+    /// See [`PoseSource::Wheels`]: a pose every 20 ms of the drive.
     Odometry(Vec<(f64, f64, f64)>),
 }
 

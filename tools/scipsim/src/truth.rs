@@ -1,5 +1,5 @@
 //! What a map should look like: for each cell what the returns in it truly came from. Says nothing about a map;
-//! that is [`crate::score`].
+//! that is [`mod@crate::score`].
 
 use std::collections::BTreeMap;
 

@@ -8,6 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::scene::Scene;
 
+/// Coordinates may go so far (m); the truth is kept cell by cell for the whole extent of a world.
+const FARTHEST: f64 = 250.0;
+
 /// A scene, the people in it, and what the robot does there.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -475,12 +478,16 @@ impl World {
             }
         }
         if let Some(rectangle) = surface.rectangle {
+            check_path("center", &[rectangle.center])?;
+            check_path("size", &[rectangle.size])?;
             positive("size", rectangle.size[0].min(rectangle.size[1]))?;
         }
         if let Some(circle) = surface.circle {
+            check_path("center", &[circle.center])?;
             positive("radius", circle.radius)?;
         }
         if let Some(arc) = surface.arc {
+            check_path("center", &[arc.center])?;
             positive("radius", arc.radius)?;
             let span = arc.to_deg - arc.from_deg;
             if !(span > 0.0 && span <= 360.0) {
@@ -498,6 +505,7 @@ impl World {
         }
         let mut free_from = f64::NEG_INFINITY;
         for slide in &surface.moves {
+            check_path("by", &[slide.by])?;
             positive("seconds of a move", slide.seconds)?;
             if slide.at < free_from {
                 return Err(format!("the move at {} s begins before the one before it ends", slide.at));
@@ -509,15 +517,19 @@ impl World {
 }
 
 fn positive(what: &str, value: f64) -> Result<(), String> {
-    if value > 0.0 && value.is_finite() { Ok(()) } else { Err(format!("{what} is {value}, not positive")) }
+    if value > 0.0 && value <= FARTHEST {
+        Ok(())
+    } else {
+        Err(format!("{what} is {value}, not within 0 to {FARTHEST}"))
+    }
 }
 
 fn check_path(what: &str, path: &[[f64; 2]]) -> Result<(), String> {
     if path.is_empty() {
         return Err(format!("{what} has no points"));
     }
-    if path.iter().flatten().any(|v| !v.is_finite() || v.abs() > 1e4) {
-        return Err(format!("{what} has a coordinate beyond 10 km"));
+    if path.iter().flatten().any(|v| !v.is_finite() || v.abs() > FARTHEST) {
+        return Err(format!("{what} has a coordinate beyond {FARTHEST} m"));
     }
     match path.windows(2).position(|w| w[0] == w[1]) {
         Some(i) => Err(format!("{what} has the same point twice in a row (number {i})")),
@@ -552,6 +564,8 @@ mod tests {
         assert!(fault("material='wall'", stand).contains("exactly one of"));
         assert!(fault("material='wall'\nlin=[[1,1],[2,1]]", stand).contains("unknown field `lin`"));
         assert!(fault("material='wall'\nline=[[1,-1],[1,1]]", "path=[[0,0],[2,0]]").contains("runs into"),);
+        assert!(fault("material='wall'\ncircle={center=[1e9,0],radius=1}", stand).contains("beyond 250 m"));
+        assert!(fault("material='wall'\ncircle={center=[9,0],radius=nan}", stand).contains("radius is NaN"));
         assert!(World::load("hal").unwrap_err().to_string().contains("mirror-corridor"));
     }
 }

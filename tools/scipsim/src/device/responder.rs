@@ -108,6 +108,8 @@ struct Stream {
 struct Leaving {
     at_ns: i64,
     output: Output,
+    /// Goes on with a frame of which a burst has left or will leave before.
+    continues: bool,
     /// For refusing the repeat of a request that is still to be answered.
     command: Option<[u8; 2]>,
 }
@@ -452,7 +454,13 @@ impl<S: ScanSource> Responder<S> {
         let mut rest = &bytes[..];
         for (size, delay) in SLOW_BURSTS {
             let (burst, after) = rest.split_at(size.min(rest.len()));
-            self.leave(at_ns + delay, Output::Bytes { bytes: burst.to_vec(), is_scan: true }, None);
+            let output = Output::Bytes { bytes: burst.to_vec(), is_scan: true };
+            self.leaving.push_back(Leaving {
+                at_ns: at_ns + delay,
+                output,
+                continues: delay > 0,
+                command: None,
+            });
             rest = after;
         }
         at_ns + SLOW_BURSTS[2].1
@@ -470,10 +478,15 @@ impl<S: ScanSource> Responder<S> {
         bytes.push(b'\n');
     }
 
-    /// Ends a stream: scans that have not begun to leave never will.
+    /// Ends a stream: scans that have not begun to leave never will, one that has is finished.
     fn stop(&mut self, state: State) {
         self.state = state;
-        self.leaving.retain(|l| !matches!(l.output, Output::Bytes { is_scan: true, .. }));
+        let mut in_begun_frame = true;
+        self.leaving.retain(|l| {
+            let is_scan = matches!(l.output, Output::Bytes { is_scan: true, .. });
+            in_begun_frame &= !is_scan || l.continues;
+            !is_scan || in_begun_frame
+        });
     }
 
     /// When an answer to what is asked at `now_ns` leaves.
@@ -510,7 +523,7 @@ impl<S: ScanSource> Responder<S> {
     /// Queues an output behind those before it.
     fn leave(&mut self, at_ns: i64, output: Output, command: Option<[u8; 2]>) {
         let at_ns = self.leaving.back().map_or(at_ns, |last| last.at_ns.max(at_ns));
-        self.leaving.push_back(Leaving { at_ns, output, command });
+        self.leaving.push_back(Leaving { at_ns, output, continues: false, command });
     }
 }
 
@@ -754,5 +767,15 @@ mod tests {
         assert_eq!(sizes, [2402, 2376, 1939]);
         assert_eq!(all[3].0 - all[1].0, 47 * MS);
         assert_eq!(all[4].0 - all[1].0, 50 * MS);
+        // A frame that has begun is finished before QT is answered: 48.5 + 50 k, and 23.5 and 47 ms after it.
+        usb.on_received(1005 * MS, b"QT\n");
+        let ends: Vec<usize> = outputs(&mut usb, 2000 * MS)
+            .iter()
+            .map(|(_, o)| match o {
+                Output::Bytes { bytes, .. } => bytes.len(),
+                Output::Disconnect => 0,
+            })
+            .collect();
+        assert_eq!(ends, [2376, 1939, 8]);
     }
 }

@@ -3,8 +3,8 @@
 //! The drive begins with the first scan that a client asks for, so that a map does not depend on how long the client took
 //! to start. Until then the robot stands at its start, and poses say so; after the drive's end it stands too.
 //!
-//! When nobody reads: like a real device it drops scans, each as a whole, as soon as an earlier one is still
-//! waiting; answers wait. When a client closes the pty, what was on its way is lost and the device goes on (a
+//! When nobody reads: what waits is limited to some scans, as in the buffers between a real device and its host. Then scans
+//! are dropped, each as a whole, and answers wait. When a client closes the pty, what was on its way is lost and the device goes on (a
 //! device left streaming); when a client closes TCP, the device stops.
 
 use std::io::{ErrorKind, Read, Write};
@@ -31,8 +31,9 @@ use crate::simulation::Simulation;
 const LONGEST_WAIT_NS: i64 = 20_000_000;
 /// How often a closed pty is looked at (ns).
 const CLOSED_WAIT: Duration = Duration::from_millis(2);
-/// Answers waiting for a client that does not read are dropped beyond this (bytes).
-const MOST_WAITING: usize = 1 << 16;
+/// What may wait for a client that does not read (bytes): nine full scans, and as much again for answers.
+const MOST_WAITING_SCANS: usize = 1 << 16;
+const MOST_WAITING: usize = 2 * MOST_WAITING_SCANS;
 /// `drive_start` before the drive.
 const NOT_STARTED: i64 = i64::MIN;
 
@@ -349,7 +350,7 @@ impl Server {
             Output::Disconnect => self.disconnect(),
             Output::Bytes { .. } if !has_client => {}
             Output::Bytes { bytes, is_scan } => {
-                if is_scan && !self.waiting.is_empty() {
+                if is_scan && self.waiting.len() + bytes.len() > MOST_WAITING_SCANS {
                     self.shared.dropped.fetch_add(1, Ordering::Relaxed);
                 } else if self.waiting.len() + bytes.len() <= MOST_WAITING {
                     self.waiting.extend(bytes);
