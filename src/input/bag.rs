@@ -28,6 +28,8 @@ pub struct Bag {
 /// Poses with what they mean for the scanner.
 pub(super) struct Placement {
     pub poses: Poses,
+    /// Where they are from, for people.
+    note: String,
     mount: Option<Pose>,
     upside_down: bool,
 }
@@ -151,7 +153,13 @@ impl Survey {
             outside @ Some(PoseSource::File(_) | PoseSource::Fixed(_)) => {
                 let base = options.base_frame.as_deref().unwrap_or("base_link");
                 let (mount, upside_down) = self.frames.mount(laser, base).unzip();
+                let mount_from = match (options.mount, mount) {
+                    (Some(_), _) => "as given",
+                    (None, Some(_)) => "by tf",
+                    (None, None) => "not told by the bag: by the settings",
+                };
                 Ok(Placement {
+                    note: format!("poses of {base} from outside; mount of {} {mount_from}", name(laser)),
                     poses: Poses::from_outside(outside.as_ref())?.unwrap_or(Poses::Fixed(Pose::identity())),
                     mount: options.mount.or(mount),
                     upside_down: upside_down.unwrap_or(false),
@@ -170,9 +178,10 @@ impl Survey {
 
     fn by_tf(&self, laser: &str, options: &InputOptions) -> Result<Placement, String> {
         let way = self.frames.way(laser, options.base_frame.as_deref(), options.fixed_frame.as_deref())?;
-        log::info!("poses: {} in {}, the scanner {} at {}", way.base, way.fixed, name(laser), way.mount);
+        let note = format!("poses of {} in {} by tf; scanner {}", way.base, way.fixed, name(laser));
         let poses = way.poses.map_or(Poses::Fixed(way.standing), Poses::known);
-        Ok(Placement { poses, mount: Some(options.mount.unwrap_or(way.mount)), upside_down: way.upside_down })
+        let mount = Some(options.mount.unwrap_or(way.mount));
+        Ok(Placement { poses, note, mount, upside_down: way.upside_down })
     }
 
     fn by_odometry(&self, laser: &str, options: &InputOptions) -> Result<Placement, InputError> {
@@ -193,7 +202,8 @@ impl Survey {
             });
         };
         let upside_down = by_frames.is_some_and(|(_, upside_down)| upside_down);
-        Ok(Placement { poses: Poses::known(odometry.poses.clone()), mount: Some(mount), upside_down })
+        let note = format!("poses of {} by {topic}; scanner {}", name(&odometry.frame), name(laser));
+        Ok(Placement { poses: Poses::known(odometry.poses.clone()), note, mount: Some(mount), upside_down })
     }
 }
 
@@ -208,6 +218,7 @@ impl Bag {
         let survey = Survey::of(&files, options, report)?;
         let (scan_topic, scans) = survey.scans(options)?;
         let placement = survey.poses(options)?;
+        report.note(&placement.note);
         let bytes = report.bytes;
         Ok(Self {
             files,
