@@ -56,11 +56,7 @@ struct OdomTopic {
 }
 
 impl Survey {
-    pub(super) fn of(
-        files: &[PathBuf],
-        _options: &InputOptions,
-        report: &mut InputReport,
-    ) -> Result<Self, InputError> {
+    pub(super) fn of(files: &[PathBuf], report: &mut InputReport) -> Result<Self, InputError> {
         let mut survey = Self::default();
         visit_all(files, report, &mut |entry, _, report| {
             if let Entry::Message { channel, data, .. } = entry
@@ -68,7 +64,10 @@ impl Survey {
                 && let Err(error) = survey.take(channel, data)
             {
                 log::debug!("{}: {error}", channel.topic);
-                report.error(&channel.type_name);
+                // Scans are decoded once more, as a whole, and counted then.
+                if channel.type_name != cdr::LaserScan::TYPE {
+                    report.error(&channel.type_name);
+                }
             }
         })?;
         survey.frames.sort();
@@ -215,7 +214,7 @@ impl Bag {
         report: &mut InputReport,
     ) -> Result<Self, InputError> {
         report.kind = "bag".to_owned();
-        let survey = Survey::of(&files, options, report)?;
+        let survey = Survey::of(&files, report)?;
         let (scan_topic, scans) = survey.scans(options)?;
         let placement = survey.poses(options)?;
         report.note(&placement.note);
@@ -259,7 +258,6 @@ impl Source for Bag {
             if channel.topic != *scan_topic || channel.type_name != cdr::LaserScan::TYPE {
                 return;
             }
-            // One that cannot be decoded was counted by the survey where its header is cut, here where its body is.
             let Ok(message) = cdr::LaserScan::decode(data) else {
                 report.error("LaserScan");
                 return;
