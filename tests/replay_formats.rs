@@ -260,6 +260,82 @@ fn a_cut_bag_is_used_up_to_the_cut() {
 }
 
 #[test]
+fn flipped_bytes_are_no_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    moving_bag(&path);
+    let whole = std::fs::read(&path).unwrap();
+    let mut state = 1_usize;
+    let (mut errors, mut maps) = (0, 0);
+    for _ in 0..400 {
+        let mut bytes = whole.clone();
+        for _ in 0..3 {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let at = (state >> 20) % bytes.len();
+            bytes[at] ^= 1 << (state >> 50 & 7);
+        }
+        std::fs::write(&path, &bytes).unwrap();
+        match replay::run(&options(std::slice::from_ref(&path), None), &mut |_| {}, &mut |_| {}) {
+            Ok(_) => maps += 1,
+            Err(_) => errors += 1,
+        }
+    }
+    assert!(errors > 10 && maps > 10, "{errors} errors, {maps} maps");
+}
+
+#[test]
+fn a_cut_gzip_is_used_up_to_the_cut() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.log.gz");
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
+    for number in 1..2000 {
+        let (range, x) = (number % 77, number * 31 % 101);
+        writeln!(encoder, "FLASER 4 {range} 1 81.91 {x} {x} 0 0 {x} 0 0 {number}.5 host {number}.5").unwrap();
+    }
+    let bytes = encoder.finish().unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    let (replay, _) = run(&options(&[path], None));
+    assert!((100..1999).contains(&replay.input.scans), "{:?}", replay.input);
+    assert_eq!(replay.input.damage.len(), 1);
+}
+
+#[test]
+fn a_bare_stream_in_two_files_with_garbage() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut stream = Vec::new();
+    for number in 0..4_u32 {
+        stream.extend_from_slice(b"MD0540054201000\n99b\n");
+        let mut line = |value: u32, chars| {
+            let mut text = Vec::new();
+            scip::number::encode(value, chars, &mut text);
+            text.push(scip::number::checksum(&text));
+            stream.extend_from_slice(&text);
+            stream.push(b'\n');
+        };
+        line(1000 + 25 * number, 4);
+        let mut data = Vec::new();
+        for distance in [1500, 1, 2500] {
+            scip::number::encode(distance, 3, &mut data);
+        }
+        data.push(scip::number::checksum(&data));
+        stream.extend_from_slice(&data);
+        stream.extend_from_slice(b"\n\n");
+        if number == 1 {
+            stream.extend_from_slice(b"\x00garbage\n\n");
+        }
+    }
+    let (first, second) = stream.split_at(stream.len() / 2 + 7);
+    let paths = [folder.path().join("a.scip"), folder.path().join("b.bin")];
+    std::fs::write(&paths[0], first).unwrap();
+    std::fs::write(&paths[1], second).unwrap();
+    assert!(error(&options(&paths, None)).to_string().contains("--pose fixed"));
+    let (replay, outcomes) = run(&options(&paths, Some("fixed")));
+    assert_eq!((replay.input.scans, starts(&outcomes).len()), (4, 4), "{:?}", replay.input);
+    assert!(replay.input.skipped_bytes > 0);
+    assert!(replay.input.notes[0].contains("UTM-30LX"));
+}
+
+#[test]
 fn what_is_no_input_is_refused_with_a_hint() {
     let folder = tempfile::tempdir().unwrap();
     for (content, hint) in [

@@ -28,6 +28,8 @@ pub struct Bag {
 /// Poses with what they mean for the scanner.
 pub(super) struct Placement {
     pub poses: Poses,
+    /// Where they are from, for people.
+    note: String,
     mount: Option<Pose>,
     upside_down: bool,
 }
@@ -54,11 +56,7 @@ struct OdomTopic {
 }
 
 impl Survey {
-    pub(super) fn of(
-        files: &[PathBuf],
-        _options: &InputOptions,
-        report: &mut InputReport,
-    ) -> Result<Self, InputError> {
+    pub(super) fn of(files: &[PathBuf], report: &mut InputReport) -> Result<Self, InputError> {
         let mut survey = Self::default();
         visit_all(files, report, &mut |entry, _, report| {
             if let Entry::Message { channel, data, .. } = entry
@@ -66,7 +64,10 @@ impl Survey {
                 && let Err(error) = survey.take(channel, data)
             {
                 log::debug!("{}: {error}", channel.topic);
-                report.error(&channel.type_name);
+                // Scans are decoded once more, as a whole, and counted then.
+                if channel.type_name != cdr::LaserScan::TYPE {
+                    report.error(&channel.type_name);
+                }
             }
         })?;
         survey.frames.sort();
@@ -151,7 +152,13 @@ impl Survey {
             outside @ Some(PoseSource::File(_) | PoseSource::Fixed(_)) => {
                 let base = options.base_frame.as_deref().unwrap_or("base_link");
                 let (mount, upside_down) = self.frames.mount(laser, base).unzip();
+                let mount_from = match (options.mount, mount) {
+                    (Some(_), _) => "as given",
+                    (None, Some(_)) => "by tf",
+                    (None, None) => "not told by the bag: by the settings",
+                };
                 Ok(Placement {
+                    note: format!("poses of {base} from outside; mount of {} {mount_from}", name(laser)),
                     poses: Poses::from_outside(outside.as_ref())?.unwrap_or(Poses::Fixed(Pose::identity())),
                     mount: options.mount.or(mount),
                     upside_down: upside_down.unwrap_or(false),
@@ -170,9 +177,10 @@ impl Survey {
 
     fn by_tf(&self, laser: &str, options: &InputOptions) -> Result<Placement, String> {
         let way = self.frames.way(laser, options.base_frame.as_deref(), options.fixed_frame.as_deref())?;
-        log::info!("poses: {} in {}, the scanner {} at {}", way.base, way.fixed, name(laser), way.mount);
+        let note = format!("poses of {} in {} by tf; scanner {}", way.base, way.fixed, name(laser));
         let poses = way.poses.map_or(Poses::Fixed(way.standing), Poses::known);
-        Ok(Placement { poses, mount: Some(options.mount.unwrap_or(way.mount)), upside_down: way.upside_down })
+        let mount = Some(options.mount.unwrap_or(way.mount));
+        Ok(Placement { poses, note, mount, upside_down: way.upside_down })
     }
 
     fn by_odometry(&self, laser: &str, options: &InputOptions) -> Result<Placement, InputError> {
@@ -193,7 +201,8 @@ impl Survey {
             });
         };
         let upside_down = by_frames.is_some_and(|(_, upside_down)| upside_down);
-        Ok(Placement { poses: Poses::known(odometry.poses.clone()), mount: Some(mount), upside_down })
+        let note = format!("poses of {} by {topic}; scanner {}", name(&odometry.frame), name(laser));
+        Ok(Placement { poses: Poses::known(odometry.poses.clone()), note, mount: Some(mount), upside_down })
     }
 }
 
@@ -205,9 +214,10 @@ impl Bag {
         report: &mut InputReport,
     ) -> Result<Self, InputError> {
         report.kind = "bag".to_owned();
-        let survey = Survey::of(&files, options, report)?;
+        let survey = Survey::of(&files, report)?;
         let (scan_topic, scans) = survey.scans(options)?;
         let placement = survey.poses(options)?;
+        report.note(&placement.note);
         let bytes = report.bytes;
         Ok(Self {
             files,
@@ -248,7 +258,6 @@ impl Source for Bag {
             if channel.topic != *scan_topic || channel.type_name != cdr::LaserScan::TYPE {
                 return;
             }
-            // One that cannot be decoded was counted by the survey where its header is cut, here where its body is.
             let Ok(message) = cdr::LaserScan::decode(data) else {
                 report.error("LaserScan");
                 return;

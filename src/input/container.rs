@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::fs::File;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use mcap::records::{MessageHeader, Metadata, Record};
@@ -64,7 +65,9 @@ pub struct Visit {
 /// # Errors
 /// Where the file cannot be opened.
 pub fn visit(path: &Path, visit: &mut dyn FnMut(Entry<'_>, u64) -> bool) -> Result<Visit, InputError> {
-    let mut file = File::open(path).map_err(|source| InputError::Io { path: path.to_owned(), source })?;
+    let file = File::open(path).map_err(|source| InputError::Io { path: path.to_owned(), source })?;
+    // Files without chunks are read record by record.
+    let mut file = BufReader::with_capacity(256 * 1024, file);
     let mut reader = LinearReader::new_with_options(
         LinearReaderOptions::default()
             .with_skip_end_magic(true)

@@ -24,7 +24,7 @@ use serde::Serialize;
 use crate::pose::{Pose, StampedPose};
 use crate::scan::Scan;
 
-pub use poses::PoseSource;
+pub use poses::{PoseSource, parse_pose};
 
 /// Takes what an input gives.
 pub trait Sink {

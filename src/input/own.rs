@@ -93,12 +93,9 @@ impl Recording {
             }
             None | Some(PoseSource::Recorded) => None,
             // Transforms and odometry carry wall time, the scans the monotonic clock.
-            Some(PoseSource::Tf | PoseSource::Odom) => Some(
-                Survey::of(&files, options, report)?
-                    .poses(options)?
-                    .poses
-                    .shifted(-info.wall_minus_monotonic_ns),
-            ),
+            Some(PoseSource::Tf | PoseSource::Odom) => {
+                Some(Survey::of(&files, report)?.poses(options)?.poses.shifted(-info.wall_minus_monotonic_ns))
+            }
             outside => Poses::from_outside(outside.as_ref())?.map(|poses| on_clock_of(poses, &info)),
         };
         let bytes = report.bytes;
@@ -152,12 +149,10 @@ impl Source for Recording {
     fn feed(&mut self, sink: &mut dyn Sink, report: &mut InputReport) -> Result<(), InputError> {
         // The first file has PP among its bytes, and the live monitor knew no more than these.
         let begins_the_run = self.info.scans_before == 0 && self.info.file == 0;
+        let parameters = self.parameters.clone().filter(|_| !begins_the_run);
         let mut port = Port {
-            monitor: scip::Monitor::new(monitor_options(
-                self.info.info.stamps_at_rear,
-                self.parameters.clone().filter(|_| !begins_the_run),
-            )),
-            parameters: self.parameters.clone(),
+            monitor: scip::Monitor::new(monitor_options(self.info.info.stamps_at_rear, parameters.clone())),
+            parameters,
             takes_strays: !begins_the_run,
             offsets: [None; 2],
         };
