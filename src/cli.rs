@@ -66,7 +66,7 @@ pub struct RunArgs {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Make the map of recordings, bags, captures or logs.
-    Replay(ReplayArgs),
+    Replay(Box<ReplayArgs>),
     /// Complete a recording that was cut off; FILE is kept, the result is put beside it.
     Recover {
         /// The recording.
