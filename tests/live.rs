@@ -112,6 +112,59 @@ fn a_live_run_and_the_replay_of_its_recording_end_in_the_same_map() {
 }
 
 #[test]
+fn faults_on_the_wire_are_survived_counted_and_replayed_alike() {
+    let folder = tempfile::tempdir().unwrap();
+    let device = "sim:hall?fault-seed=3&disconnect=0.02&bad-sum=0.03&garbage=0.03&cut=0.02&skip-scan=0.02";
+    let arguments = ["--device", device, "--record=recordings", "--out", "live"];
+    let mut daemon = Daemon::start(folder.path(), &arguments, None);
+    let log = || fs::read_to_string(folder.path().join("log")).unwrap();
+    wait_for("a stream after two lost connections", || {
+        let log = log();
+        let streams = log.matches("streaming").count();
+        (log.matches("is lost").count() >= 2 && streams >= 3).then_some(())
+    });
+    daemon.signal("TERM");
+    assert!(daemon.wait().success(), "{}", log());
+
+    let report = json(&folder.path().join("live/report.json"));
+    assert!(report["scans_missing"].as_u64() > Some(0), "{report:#}");
+    assert!(!report["decode_errors"].as_object().unwrap().is_empty(), "{report:#}");
+    let files = recordings(&folder.path().join("recordings"));
+    let arguments = ["replay", files[0].to_str().unwrap(), "--out", "replayed"];
+    assert!(Daemon::start(folder.path(), &arguments, None).wait().success());
+    let replayed = json(&folder.path().join("replayed/report.json"));
+    for key in ["scans_read", "scans_inserted", "scans_missing", "poses_read"] {
+        assert_eq!(replayed[key], report[key], "{key}");
+    }
+    let map = |name: &str| fs::read(folder.path().join(name).join("map.npz")).unwrap();
+    assert!(map("live") == map("replayed"));
+}
+
+#[test]
+fn a_thread_that_fails_ends_the_run_in_order() {
+    use visagged::config::{Config, OutputConfig};
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = Config::default();
+    config.output = OutputConfig { folder: Some(folder.path().join("map")), ..OutputConfig::default() };
+    config.record.enabled = true;
+    config.record.folder = folder.path().join("recordings");
+    let failure = visagged::live::run(visagged::live::Run {
+        config,
+        config_file: None,
+        duration: None,
+        opener: Box::new(|| panic!("the test wants it so")),
+        session: scip::SessionSettings::default(),
+        is_over: Box::new(|| false),
+    })
+    .expect_err("a failed thread is a failed run");
+    assert_eq!(failure.exit, visagged::exit::Exit::Fault);
+    assert!(failure.to_string().contains("driver"), "{failure}");
+    assert_eq!(json(&folder.path().join("map/report.json"))["finished"], true);
+    let files = recordings(&folder.path().join("recordings"));
+    assert_eq!(files[0].extension().unwrap(), "mcap", "the recording is complete");
+}
+
+#[test]
 fn a_service_manager_hears_of_start_progress_and_end() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("notify");
