@@ -66,7 +66,7 @@ pub struct RunArgs {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Make the map of recordings, bags, captures or logs.
-    Replay(ReplayArgs),
+    Replay(Box<ReplayArgs>),
     /// Complete a recording that was cut off; FILE is kept, the result is put beside it.
     Recover {
         /// The recording.
@@ -94,14 +94,14 @@ pub struct ReplayArgs {
     /// Folder of the map's files.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Poses: recorded, tf, odom, FILE.tum, or fixed[:X,Y,YAW] where the scanner stood still (m, rad) [default: what
-    /// the input has].
+    /// Poses: recorded, tf, odom, FILE.tum, fixed where the scanner stood still, or fixed:X,Y,YAW (m, m, rad).
+    /// Without it, what the input has.
     #[arg(long, value_name = "SRC")]
     pub pose: Option<input::PoseSource>,
-    /// Kind of the grid: visagge, paper or standard [default: that of the recording, or visagge].
+    /// Kind of the grid: visagge, paper or standard. Without it, that of the recording, or visagge.
     #[arg(long, value_name = "KIND", value_parser = mapper_kind)]
     pub mapper: Option<MapperKind>,
-    /// Configuration, of which [mapper] is used in the place of what the recording says.
+    /// Configuration, of which the table `mapper` is used in the place of what the recording says.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Topic of the scans in a bag.
@@ -110,10 +110,10 @@ pub struct ReplayArgs {
     /// Topic of the odometry in a bag.
     #[arg(long, value_name = "TOPIC")]
     pub odom_topic: Option<String>,
-    /// Frame in which the map is made [default: map where the bag has it, else its highest].
+    /// Frame in which the map is made. Without it, map where the bag has it, else its highest.
     #[arg(long, value_name = "FRAME")]
     pub fixed_frame: Option<String>,
-    /// Frame of the robot [default: base_link, or base_footprint].
+    /// Frame of the robot. Without it, base_link, or base_footprint.
     #[arg(long, value_name = "FRAME")]
     pub base_frame: Option<String>,
     /// The scanner on the robot, where the input does not tell or tells it wrong (m, m, rad).
@@ -122,7 +122,7 @@ pub struct ReplayArgs {
     /// Beams that show the robot itself, counted from 0; may be given several times.
     #[arg(long, value_name = "FIRST-LAST", value_parser = beams)]
     pub ignore_beams: Vec<[usize; 2]>,
-    /// Model of the scanner that a bare byte stream came from [default: what it says, or UTM-30LX].
+    /// Model of the scanner that a bare byte stream came from. Without it, what the stream says, or UTM-30LX.
     #[arg(long, value_name = "MODEL")]
     pub model: Option<String>,
 }

@@ -72,7 +72,7 @@ fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
 
     // Lives until the run has ended.
     let simulator = match &url {
-        DeviceUrl::Sim(world) => Some(Simulator::start(world, &mut config)?),
+        DeviceUrl::Sim(world) => Some(Simulator::start(world, &mut config, args.pose.is_none())?),
         _ => None,
     };
     if config.pose.source == PoseSource::None {
@@ -146,7 +146,7 @@ fn identify(url: &DeviceUrl) -> Result<ExitCode, Failure> {
     let device = match url {
         DeviceUrl::Port(address) => device::identify(address).map_err(no_device)?,
         DeviceUrl::Sim(world) => {
-            let simulator = Simulator::start(world, &mut Config::default())?;
+            let simulator = Simulator::start(world, &mut Config::default(), false)?;
             device::identify(&simulator.address()).map_err(no_device)?
         }
     };

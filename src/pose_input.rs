@@ -13,7 +13,7 @@
 use std::collections::BTreeMap;
 use std::io;
 use std::net::UdpSocket;
-use std::os::unix::fs::FileTypeExt;
+use std::os::unix::fs::{FileTypeExt, PermissionsExt};
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -253,6 +253,10 @@ impl PoseSocket {
                 remove_left_over(path)?;
                 let socket = UnixDatagram::bind(path)
                     .with_context(|| format!("cannot make the pose socket {}", path.display()))?;
+                // To send is to write: the group may, whatever the umask says.
+                std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o660)).with_context(
+                    || format!("cannot open the pose socket {} to the group", path.display()),
+                )?;
                 Self::Unix(socket, SocketName(path.clone()))
             }
             PoseSource::Udp(address) => Self::Udp(

@@ -1,0 +1,319 @@
+//! A live run from end to end: the program against a simulated scanner on a pty, as a service manager sees it and as a
+//! user does. Nothing here waits for a time to pass, but for something to happen.
+
+use std::fs;
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+/// How long anything may take before a test gives up.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The program, killed where a test ends early.
+struct Daemon(Child);
+
+impl Daemon {
+    fn start(folder: &Path, arguments: &[&str], notify: Option<&Path>) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_visagged"));
+        command.args(arguments).current_dir(folder).env_remove("VISAGGED_LOG").stdin(Stdio::null());
+        command.stderr(fs::File::create(folder.join("log")).unwrap());
+        if let Some(notify) = notify {
+            command.env("NOTIFY_SOCKET", notify).env("WATCHDOG_USEC", "2000000");
+            command.env_remove("WATCHDOG_PID");
+        }
+        Self(command.spawn().unwrap())
+    }
+
+    fn signal(&self, name: &str) {
+        let status =
+            Command::new("kill").args([format!("-{name}"), self.0.id().to_string()]).status().unwrap();
+        assert!(status.success());
+    }
+
+    fn wait(&mut self) -> ExitStatus {
+        wait_for("the end of the program", || self.0.try_wait().unwrap())
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(start.elapsed() < PATIENCE, "waited in vain for {what}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn json(path: &Path) -> serde_json::Value {
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+}
+
+fn recordings(folder: &Path) -> Vec<PathBuf> {
+    let mut files: Vec<_> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    files
+}
+
+/// Number of a report's scans, skipped ones included.
+fn decided(report: &serde_json::Value) -> u64 {
+    let skipped = report["scans_skipped"].as_object().unwrap().values().map(|count| count.as_u64().unwrap());
+    report["scans_inserted"].as_u64().unwrap() + skipped.sum::<u64>()
+}
+
+#[test]
+fn a_live_run_and_the_replay_of_its_recording_end_in_the_same_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let arguments = ["--device", "sim:hall", "--record=recordings", "--out", "live", "--duration", "5"];
+    let status = Daemon::start(folder.path(), &arguments, None).wait();
+    let log = fs::read_to_string(at("log")).unwrap();
+    assert!(status.success(), "{log}");
+
+    let report = json(&at("live/report.json"));
+    let scans = report["scans_read"].as_u64().unwrap();
+    // 200 in 5 s; the start of the scanner takes up to 2 s where the machine is busy.
+    assert!((100..=201).contains(&scans), "{scans} scans\n{log}");
+    assert_eq!(decided(&report), scans);
+    assert!(report["scans_inserted"].as_u64().unwrap() > 50, "{report:#}");
+    assert!(report["map"]["occupied"].as_u64().unwrap() > 100, "{report:#}");
+    assert!(report["poses"]["accepted"].as_u64().unwrap() > 100, "{report:#}");
+    assert_eq!(report["device"]["PROT"], "SCIP 2.0");
+    for (name, queue) in report["queues"].as_object().unwrap() {
+        assert_eq!(queue["dropped"], 0, "{name}");
+        assert!(queue["accepted"].as_u64().unwrap() > 0, "{name}");
+    }
+    assert_eq!(report["queues"].as_object().unwrap().len(), 3);
+
+    let files = recordings(&at("recordings"));
+    assert_eq!(files.len(), 1, "{files:?}");
+    assert_eq!(files[0].extension().unwrap(), "mcap");
+    for name in ["one", "two"] {
+        let arguments = ["replay", files[0].to_str().unwrap(), "--out", name];
+        assert!(Daemon::start(folder.path(), &arguments, None).wait().success());
+        for file in ["map.npz", "map.pgm", "map.png", "map.yaml"] {
+            let equal = fs::read(at("live").join(file)).unwrap() == fs::read(at(name).join(file)).unwrap();
+            assert!(equal, "{name}/{file} differs from that of the live run");
+        }
+        let replayed = json(&at(name).join("report.json"));
+        for key in ["scans_read", "scans_inserted", "scans_skipped", "poses_read"] {
+            assert_eq!(replayed[key], report[key], "{key}");
+        }
+    }
+}
+
+#[test]
+fn faults_on_the_wire_are_survived_counted_and_replayed_alike() {
+    let folder = tempfile::tempdir().unwrap();
+    let device = "sim:hall?fault-seed=3&disconnect=0.02&bad-sum=0.03&garbage=0.03&cut=0.02&skip-scan=0.02";
+    let arguments = ["--device", device, "--record=recordings", "--out", "live"];
+    let mut daemon = Daemon::start(folder.path(), &arguments, None);
+    let log = || fs::read_to_string(folder.path().join("log")).unwrap();
+    wait_for("a stream after two lost connections", || {
+        let log = log();
+        let streams = log.matches("streaming").count();
+        (log.matches("is lost").count() >= 2 && streams >= 3).then_some(())
+    });
+    daemon.signal("TERM");
+    assert!(daemon.wait().success(), "{}", log());
+
+    let report = json(&folder.path().join("live/report.json"));
+    assert!(report["scans_missing"].as_u64() > Some(0), "{report:#}");
+    assert!(!report["decode_errors"].as_object().unwrap().is_empty(), "{report:#}");
+    let files = recordings(&folder.path().join("recordings"));
+    let arguments = ["replay", files[0].to_str().unwrap(), "--out", "replayed"];
+    assert!(Daemon::start(folder.path(), &arguments, None).wait().success());
+    let replayed = json(&folder.path().join("replayed/report.json"));
+    for key in ["scans_read", "scans_inserted", "scans_missing", "poses_read"] {
+        assert_eq!(replayed[key], report[key], "{key}");
+    }
+    let map = |name: &str| fs::read(folder.path().join(name).join("map.npz")).unwrap();
+    assert!(map("live") == map("replayed"));
+}
+
+#[test]
+fn a_thread_that_fails_ends_the_run_in_order() {
+    use visagged::config::{Config, OutputConfig};
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = Config::default();
+    config.output = OutputConfig { folder: Some(folder.path().join("map")), ..OutputConfig::default() };
+    config.record.enabled = true;
+    config.record.folder = folder.path().join("recordings");
+    let failure = visagged::live::run(visagged::live::Run {
+        config,
+        config_file: None,
+        duration: None,
+        opener: Box::new(|| panic!("the test wants it so")),
+        session: scip::SessionSettings::default(),
+        is_over: Box::new(|| false),
+    })
+    .expect_err("a failed thread is a failed run");
+    assert_eq!(failure.exit, visagged::exit::Exit::Fault);
+    assert!(failure.to_string().contains("driver"), "{failure}");
+    assert_eq!(json(&folder.path().join("map/report.json"))["finished"], true);
+    let files = recordings(&folder.path().join("recordings"));
+    assert_eq!(files[0].extension().unwrap(), "mcap", "the recording is complete");
+}
+
+#[test]
+fn a_service_manager_hears_of_start_progress_and_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("notify");
+    let manager = UnixDatagram::bind(&path).unwrap();
+    manager.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut buffer = [0; 4096];
+    let mut heard = move || {
+        let length = manager.recv(&mut buffer).expect("the program says something");
+        String::from_utf8(buffer[..length].to_vec()).unwrap()
+    };
+    let mut hear = |wanted: &str| {
+        let start = Instant::now();
+        while start.elapsed() < PATIENCE {
+            let said = heard();
+            if said.lines().any(|line| line.starts_with(wanted)) {
+                return said;
+            }
+        }
+        panic!("waited in vain for {wanted}");
+    };
+
+    fs::write(
+        folder.path().join("visagged.toml"),
+        "[device]\nurl = \"sim:hall\"\n[output]\nfolder = \"map\"\nevery_s = 1.0\n",
+    )
+    .unwrap();
+    let mut daemon = Daemon::start(folder.path(), &["--config", "visagged.toml"], Some(&path));
+    hear("READY=1");
+    hear("WATCHDOG=1");
+    wait_for("the first map, while the run goes on", || {
+        let report = folder.path().join("map/report.json");
+        report.exists().then(|| json(&report)).filter(|report| report["scans_inserted"].as_u64() > Some(0))
+    });
+    let status = hear("STATUS=");
+    assert!(status.contains("scans"), "{status}");
+    hear("WATCHDOG=1");
+
+    // A mistake in the file does not reach the run.
+    fs::write(folder.path().join("visagged.toml"), "[device]\nurl = 5\n").unwrap();
+    daemon.signal("HUP");
+    assert!(hear("RELOADING=1").contains("MONOTONIC_USEC="));
+    hear("READY=1");
+
+    daemon.signal("TERM");
+    hear("STOPPING=1");
+    let status = daemon.wait();
+    let log = fs::read_to_string(folder.path().join("log")).unwrap();
+    assert_eq!(status.code(), Some(0), "{log}");
+    assert!(log.contains("would be refused"), "{log}");
+    let report = json(&folder.path().join("map/report.json"));
+    assert_eq!(report["finished"], true);
+    assert_eq!(decided(&report), report["scans_read"].as_u64().unwrap());
+}
+
+#[test]
+fn an_interrupt_ends_a_run_in_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["--device", "sim:hall", "--record", "--out", "map"];
+    let mut daemon = Daemon::start(folder.path(), &arguments, None);
+    wait_for("a stream", || {
+        fs::read_to_string(folder.path().join("log")).unwrap().contains("streaming").then_some(())
+    });
+    daemon.signal("INT");
+    let status = daemon.wait();
+    let log = fs::read_to_string(folder.path().join("log")).unwrap();
+    assert_eq!(status.code(), Some(0), "{log}");
+    assert!(folder.path().join("map/map.png").exists());
+    let files = recordings(&folder.path().join("recordings"));
+    assert!(files.iter().all(|file| file.extension().unwrap() == "mcap"), "{files:?}");
+    let bytes = fs::read(&files[0]).unwrap();
+    assert!(bytes.ends_with(b"\x89MCAP0\r\n"), "the recording is complete");
+    // The laser is told to go off; that is the last request.
+    let raw = decompressed_sent_bytes(&files[0]);
+    assert!(raw.ends_with(b"QT\n"), "{}", raw.escape_ascii());
+}
+
+/// All that was sent to the scanner, joined.
+fn decompressed_sent_bytes(file: &Path) -> Vec<u8> {
+    let mapped = fs::read(file).unwrap();
+    let mut sent = Vec::new();
+    for message in mcap::MessageStream::new(&mapped).unwrap() {
+        let message = message.unwrap();
+        if message.channel.topic != "/visagge/scip" {
+            continue;
+        }
+        // CDR of ScipBytes: 4 bytes of header, stamp 8, monotonic 8, offset 8, direction 1, padding to 4, length 4.
+        let data = &message.data[4..];
+        if data[24] == 1 {
+            let length = u32::from_le_bytes(data[28..32].try_into().unwrap()) as usize;
+            sent.extend_from_slice(&data[32..32 + length]);
+        }
+    }
+    sent
+}
+
+#[test]
+fn a_run_ends_by_itself_when_the_drive_has_ended() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["--device", "sim:hall?speed=1000", "--out", "map"];
+    let status = Daemon::start(folder.path(), &arguments, None).wait();
+    let log = fs::read_to_string(folder.path().join("log")).unwrap();
+    assert!(status.success(), "{log}");
+    assert!(log.contains("the drive has ended"), "{log}");
+}
+
+#[test]
+fn without_poses_nothing_is_mapped_and_all_is_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["--device", "sim:hall", "--pose", "none", "--out", "map", "--duration", "3"];
+    let status = Daemon::start(folder.path(), &arguments, None).wait();
+    assert!(status.success());
+    let report = json(&folder.path().join("map/report.json"));
+    assert_eq!(report["scans_inserted"], 0);
+    assert_eq!(report["map"]["occupied"], 0);
+    assert!(report["scans_read"].as_u64().unwrap() > 0);
+    assert_eq!(report["scans_skipped"]["no_pose"], report["scans_read"]);
+}
+
+#[test]
+fn poses_of_a_localizer_are_taken_and_bad_ones_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let socket = folder.path().join("pose");
+    let pose = format!("unix:{}", socket.display());
+    let arguments = ["--device", "sim:hall", "--pose", &pose, "--out", "map"];
+    let mut daemon = Daemon::start(folder.path(), &arguments, None);
+    wait_for("the socket", || socket.exists().then_some(()));
+    let sender = UnixDatagram::unbound().unwrap();
+    sender.send_to(b"{\"class\":\"POSE\",\"stamp_ns\":5,\"x\":0,\"y\":0,\"yaw\":0}", &socket).unwrap();
+    sender.send_to(b"hello", &socket).unwrap();
+    sender.send_to(b"{\"class\":\"POSE\",\"stamp_ns\":5,\"x\":NaN,\"y\":0,\"yaw\":0}", &socket).unwrap();
+    let start = Instant::now();
+    // Sent until the log says that they are used; the robot stands.
+    while !fs::read_to_string(folder.path().join("log")).unwrap().contains("streaming")
+        || start.elapsed() < Duration::from_secs(2)
+    {
+        assert!(start.elapsed() < PATIENCE, "no stream");
+        let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_nanos();
+        let text = format!("{{\"class\":\"POSE\",\"stamp_ns\":{now},\"x\":1.5,\"y\":0,\"yaw\":0.25}}");
+        sender.send_to(text.as_bytes(), &socket).unwrap();
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    daemon.signal("TERM");
+    assert!(daemon.wait().success());
+    let report = json(&folder.path().join("map/report.json"));
+    let rejected = &report["poses"]["rejected"];
+    assert_eq!(
+        (&rejected["stale"], &rejected["malformed"], &rejected["not_finite"]),
+        (&1.into(), &1.into(), &1.into())
+    );
+    assert!(report["scans_inserted"].as_u64().unwrap() > 0, "{report:#}");
+    assert!(!socket.exists(), "the socket's name is removed");
+}
