@@ -17,6 +17,8 @@
 //! It is rotated at a size and age, each file having all that it needs to be read alone. After an I/O error the file
 //! is left as it is and a new one tried; what could not be written is counted.
 
+mod date;
+
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{BufWriter, Seek, SeekFrom, Write};
@@ -29,6 +31,7 @@ use crate::cdr::{self, Message};
 use crate::map::Map;
 use crate::pose::{Pose, StampedPose, quaternion_from_yaw};
 use crate::scan::Scan;
+use date::utc;
 
 /// Ending of a file that is being written.
 pub const ACTIVE: &str = "active";
@@ -873,23 +876,6 @@ fn planar_covariance([xx, xy, xa, yy, ya, aa]: [f64; 6]) -> [f64; 36] {
         matrix[6 * row + column] = value;
     }
     matrix
-}
-
-/// `YYYYMMDDTHHMMSSZ` of a wall clock (Gregorian calendar, no leap seconds).
-fn utc(wall_ns: i64) -> String {
-    let seconds = wall_ns.div_euclid(SECOND);
-    let (days, second) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
-    // Days since 0000-03-01, in eras of 400 years; years begin in March so that leap days come last.
-    let shifted = days + 719_468;
-    let (era, day_of_era) = (shifted.div_euclid(146_097), shifted.rem_euclid(146_097));
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month_from_march = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
-    let month = if month_from_march < 10 { month_from_march + 3 } else { month_from_march - 9 };
-    let year = year_of_era + era * 400 + i64::from(month <= 2);
-    let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
-    format!("{year:04}{month:02}{day:02}T{hour:02}{minute:02}{second:02}Z")
 }
 
 #[cfg(test)]

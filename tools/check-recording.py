@@ -4,8 +4,8 @@
     tools/check-recording.py RECORDING.mcap... [--stream BYTES] [--venv DIR]
 
 PyPI mcap, mcap-ros2-support, rosbags and pymcap-cli are installed in DIR (a temporary folder unless given). All messages
-of all topics must decode, the ROS 1-style bookkeeping of rosbags must accept the file, `pymcap-cli doctor` must find
-nothing, and the received bytes of /visagge/scip, joined, must be one stream without a gap: that of the file BYTES, where
+of all topics must decode with mcap-ros2-support and with rosbags, `pymcap-cli doctor` must find nothing, not even to
+remark, and the received bytes of /visagge/scip, joined, must be one stream without a gap: that of the file BYTES, where
 given. Prints what was found; exit code 1 where anything is wrong.
 """
 
@@ -77,14 +77,12 @@ def decode(path, offset, failures):
 
 
 def read_with_rosbags(path, counts, failures):
-    """The file as ROS 2 itself has it: a bag folder would have the same file."""
+    """All messages again, by a decoder that has the types of ROS 2 from elsewhere and only ours from the file."""
+    from mcap.reader import make_reader
     from rosbags.highlevel import AnyReader
-    from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore, get_types_from_msg
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    from mcap.reader import make_reader
-
     with open(path, "rb") as file:
         summary = make_reader(file).get_summary()
     for schema in summary.schemas.values():
@@ -98,15 +96,14 @@ def read_with_rosbags(path, counts, failures):
             read += 1
     if read != sum(counts.values()):
         failures.append(f"{path}: rosbags read {read} messages of {sum(counts.values())}")
-    del Reader
 
 
 def doctor(path, failures):
     tool = pathlib.Path(sys.executable).parent / "pymcap-cli"
     result = subprocess.run([tool, "doctor", path], capture_output=True, text=True)
     print(result.stdout, result.stderr, sep="")
-    words = (result.stdout + result.stderr).lower()
-    if result.returncode != 0 or "error" in words.replace("no errors", "").replace("0 errors", ""):
+    # Where it has something to say it prints a table of what and where.
+    if result.returncode != 0 or "Severity" in result.stdout:
         failures.append(f"{path}: pymcap-cli doctor, exit code {result.returncode}")
 
 

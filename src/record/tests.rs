@@ -370,11 +370,3 @@ fn damage_inside_ends_the_rescue_and_is_told() {
     assert!(recovery.damage.unwrap().offset >= inside_a_chunk as u64);
     assert!(recovery.messages > 10);
 }
-
-#[test]
-fn dates() {
-    assert_eq!(utc(0), "19700101T000000Z");
-    assert_eq!(utc(951_782_399 * SECOND), "20000228T235959Z");
-    assert_eq!(utc(951_782_400 * SECOND), "20000229T000000Z");
-    assert_eq!(utc(WALL), "20261123T145730Z");
-}
