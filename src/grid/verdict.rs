@@ -46,8 +46,8 @@ impl Verdict {
 
 /// Occupancy below which a cell is a random reading: they come once in a thousand beams (paper III-B).
 const LEAST_HITS: u8 = 2;
-/// Least length of a surface (m). A leg is 12 cm thick.
-const LEAST_LENGTH: f32 = 0.25;
+/// Least length of a surface (m). A leg is 12 cm thick, two of them side by side 30.
+const LEAST_LENGTH: f32 = 0.4;
 /// Most that the normal may differ from the middle of the view angles (rad): 8 degrees. Glass is seen
 /// within 1 to 2 degrees of its normal where something stands behind it (paper, Fig. 7), and the line
 /// through a patch is uncertain by some degrees.
