@@ -149,12 +149,17 @@ fn faults_on_the_wire_are_survived_counted_and_replayed_alike() {
 
 #[test]
 fn a_thread_that_fails_ends_the_run_in_order() {
-    use visagged::config::{Config, OutputConfig};
+    use visagged::config::{Config, OutputConfig, RecordConfig};
     let folder = tempfile::tempdir().unwrap();
-    let mut config = Config::default();
-    config.output = OutputConfig { folder: Some(folder.path().join("map")), ..OutputConfig::default() };
-    config.record.enabled = true;
-    config.record.folder = folder.path().join("recordings");
+    let config = Config {
+        output: OutputConfig { folder: Some(folder.path().join("map")), ..OutputConfig::default() },
+        record: RecordConfig {
+            enabled: true,
+            folder: folder.path().join("recordings"),
+            ..RecordConfig::default()
+        },
+        ..Config::default()
+    };
     let failure = visagged::live::run(visagged::live::Run {
         config,
         config_file: None,
