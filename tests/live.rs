@@ -64,6 +64,10 @@ fn recordings(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
+fn recordings_if_any(folder: &Path) -> Vec<PathBuf> {
+    if folder.is_dir() { recordings(folder) } else { Vec::new() }
+}
+
 /// Number of a report's scans, skipped ones included.
 fn decided(report: &serde_json::Value) -> u64 {
     let skipped = report["scans_skipped"].as_object().unwrap().values().map(|count| count.as_u64().unwrap());
@@ -270,6 +274,32 @@ fn decompressed_sent_bytes(file: &Path) -> Vec<u8> {
         }
     }
     sent
+}
+
+#[test]
+fn a_recording_that_was_cut_is_completed_at_the_next_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let recorded = folder.path().join("recordings");
+    let mut daemon = Daemon::start(folder.path(), &["--device", "sim:hall", "--record"], None);
+    wait_for("some content", || {
+        let cut = recordings_if_any(&recorded).into_iter().next()?;
+        (fs::metadata(cut).ok()?.len() > 100_000).then_some(())
+    });
+    daemon.signal("KILL");
+    daemon.wait();
+    let left = recordings(&recorded);
+    assert!(left[0].extension().unwrap() == "active", "{left:?}");
+
+    let status =
+        Daemon::start(folder.path(), &["--device", "sim:hall", "--record", "--duration", "1"], None).wait();
+    let log = fs::read_to_string(folder.path().join("log")).unwrap();
+    assert!(status.success(), "{log}");
+    assert!(log.contains("was left by an earlier run"), "{log}");
+    let complete = |file: &PathBuf| fs::read(file).unwrap().ends_with(b"\x89MCAP0\r\n");
+    let whole: Vec<_> =
+        recordings(&recorded).into_iter().filter(|file| file.extension().unwrap() == "mcap").collect();
+    assert_eq!(whole.len(), 2, "{:?}", recordings(&recorded));
+    assert!(whole.iter().all(complete));
 }
 
 #[test]
