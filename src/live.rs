@@ -213,6 +213,7 @@ impl Parts {
             mapper: to_mapper,
             recorder: recorder.clone(),
             shared: Arc::clone(&shared),
+            recorded_device: None,
         };
         start("driver", Box::new(move || driver.run()))?;
 

@@ -64,6 +64,10 @@ fn recordings(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
+fn recordings_if_any(folder: &Path) -> Vec<PathBuf> {
+    if folder.is_dir() { recordings(folder) } else { Vec::new() }
+}
+
 /// Number of a report's scans, skipped ones included.
 fn decided(report: &serde_json::Value) -> u64 {
     let skipped = report["scans_skipped"].as_object().unwrap().values().map(|count| count.as_u64().unwrap());
@@ -130,6 +134,13 @@ fn faults_on_the_wire_are_survived_counted_and_replayed_alike() {
     assert!(report["scans_missing"].as_u64() > Some(0), "{report:#}");
     assert!(!report["decode_errors"].as_object().unwrap().is_empty(), "{report:#}");
     let files = recordings(&folder.path().join("recordings"));
+    // One scanner is one entry, however often it was reconnected: readers refuse or warn about more of a name.
+    let recorded = fs::read(&files[0]).unwrap();
+    let is_device = |record: &mcap::records::Record| matches!(record, mcap::records::Record::Metadata(metadata) if metadata.name == "visagge.device");
+    let entries = mcap::read::LinearReader::new(&recorded)
+        .unwrap()
+        .filter(|record| is_device(record.as_ref().unwrap()));
+    assert_eq!(entries.count(), 1);
     let arguments = ["replay", files[0].to_str().unwrap(), "--out", "replayed"];
     assert!(Daemon::start(folder.path(), &arguments, None).wait().success());
     let replayed = json(&folder.path().join("replayed/report.json"));
@@ -142,12 +153,17 @@ fn faults_on_the_wire_are_survived_counted_and_replayed_alike() {
 
 #[test]
 fn a_thread_that_fails_ends_the_run_in_order() {
-    use visagged::config::{Config, OutputConfig};
+    use visagged::config::{Config, OutputConfig, RecordConfig};
     let folder = tempfile::tempdir().unwrap();
-    let mut config = Config::default();
-    config.output = OutputConfig { folder: Some(folder.path().join("map")), ..OutputConfig::default() };
-    config.record.enabled = true;
-    config.record.folder = folder.path().join("recordings");
+    let config = Config {
+        output: OutputConfig { folder: Some(folder.path().join("map")), ..OutputConfig::default() },
+        record: RecordConfig {
+            enabled: true,
+            folder: folder.path().join("recordings"),
+            ..RecordConfig::default()
+        },
+        ..Config::default()
+    };
     let failure = visagged::live::run(visagged::live::Run {
         config,
         config_file: None,
@@ -258,6 +274,32 @@ fn decompressed_sent_bytes(file: &Path) -> Vec<u8> {
         }
     }
     sent
+}
+
+#[test]
+fn a_recording_that_was_cut_is_completed_at_the_next_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let recorded = folder.path().join("recordings");
+    let mut daemon = Daemon::start(folder.path(), &["--device", "sim:hall", "--record"], None);
+    wait_for("some content", || {
+        let cut = recordings_if_any(&recorded).into_iter().next()?;
+        (fs::metadata(cut).ok()?.len() > 100_000).then_some(())
+    });
+    daemon.signal("KILL");
+    daemon.wait();
+    let left = recordings(&recorded);
+    assert!(left[0].extension().unwrap() == "active", "{left:?}");
+
+    let status =
+        Daemon::start(folder.path(), &["--device", "sim:hall", "--record", "--duration", "1"], None).wait();
+    let log = fs::read_to_string(folder.path().join("log")).unwrap();
+    assert!(status.success(), "{log}");
+    assert!(log.contains("was left by an earlier run"), "{log}");
+    let complete = |file: &PathBuf| fs::read(file).unwrap().ends_with(b"\x89MCAP0\r\n");
+    let whole: Vec<_> =
+        recordings(&recorded).into_iter().filter(|file| file.extension().unwrap() == "mcap").collect();
+    assert_eq!(whole.len(), 2, "{:?}", recordings(&recorded));
+    assert!(whole.iter().all(complete));
 }
 
 #[test]

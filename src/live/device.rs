@@ -77,6 +77,7 @@ pub fn identify(address: &Address) -> anyhow::Result<scip::Device> {
         mapper,
         recorder: None,
         shared: Arc::clone(&shared),
+        recorded_device: None,
     };
     driver.run();
     let device = lock(&shared.device).take();

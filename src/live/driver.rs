@@ -41,6 +41,8 @@ pub struct Driver {
     pub recorder: Option<Sender<Record>>,
     /// Progress and counts.
     pub shared: Arc<Shared>,
+    /// The device as the recording knows it; `None` at the start.
+    pub recorded_device: Option<Arc<scip::Device>>,
 }
 
 /// What the loop carries from turn to turn.
@@ -174,23 +176,39 @@ impl Driver {
                 Event::BadParameters(_) => error!("{event}"),
                 Event::Rate(rate) if rate.is_slow => warn!("{event}"),
                 Event::Synchronised(_) | Event::Rate(_) => info!("{event}"),
-                Event::Session(session_event) => log_session_event(session_event, &self.url),
+                Event::Session(session_event) => {
+                    log_session_event(session_event, &self.url);
+                    if matches!(session_event, SessionEvent::Streaming(_)) {
+                        self.record_device();
+                    }
+                }
             }
         }
     }
 
-    /// Keeps what VV, PP and II have told, for the recording and the report.
+    /// Keeps what VV, PP and II have told, for the report.
     fn keep_device(&mut self) {
         let device = self.session.device();
         let mut kept = lock(&self.shared.device);
-        if kept.as_deref() == Some(device) {
+        if kept.as_deref() != Some(device) {
+            *kept = Some(Arc::new(device.clone()));
+        }
+    }
+
+    /// Gives the recording the device's answers, once they are complete: when the stream begins. After a
+    /// reconnection the same device is not told again.
+    fn record_device(&mut self) {
+        let Some(recorder) = &self.recorder else { return };
+        let device = self.session.device();
+        let is_same = |told: &scip::Device| {
+            told.version == device.version && told.parameter_fields == device.parameter_fields
+        };
+        if self.recorded_device.as_deref().is_some_and(is_same) {
             return;
         }
         let device = Arc::new(device.clone());
-        if let Some(recorder) = &self.recorder {
-            recorder.offer(Record::Device(Arc::clone(&device)));
-        }
-        *kept = Some(device);
+        recorder.offer(Record::Device(Arc::clone(&device)));
+        self.recorded_device = Some(device);
     }
 
     fn count_error(&self, kind: &str) {

@@ -27,7 +27,7 @@ const MARGIN: f64 = 1.0;
 const STRAY: f64 = 0.002;
 
 /// Small maps are drawn larger until their longer side has about this many pixels.
-const WANTED_PIXELS: usize = 900;
+const WANTED_PIXELS: usize = 1200;
 /// A cell is never drawn larger than this (pixels).
 const LARGEST_CELL: usize = 8;
 /// Height of the strip that holds the scale bar (pixels).
