@@ -77,10 +77,10 @@ pub enum Command {
         /// The configuration.
         file: PathBuf,
     },
-    /// Ask a scanner who it is.
+    /// Ask a scanner who it is, or list the serial ports where one may be.
     Identify {
-        /// The scanner: /dev/ttyACM0, serial:PATH, tcp://HOST:PORT or sim:WORLD.
-        device: DeviceUrl,
+        /// The scanner: /dev/ttyACM0, serial:PATH, tcp://HOST:PORT or sim:WORLD. All ports are listed where none is named.
+        device: Option<DeviceUrl>,
     },
 }
 

@@ -26,7 +26,8 @@ fn main() -> ExitCode {
         Some(Command::Replay(args)) => replay_files(args),
         Some(Command::Recover { file }) => Ok(recover_file(file)),
         Some(Command::CheckConfig { file }) => check_config(file),
-        Some(Command::Identify { device }) => identify(device),
+        Some(Command::Identify { device: Some(device) }) => identify(device),
+        Some(Command::Identify { device: None }) => list_ports(),
     };
     match result {
         Ok(code) => code,
@@ -139,6 +140,19 @@ fn recover_file(file: &Path) -> ExitCode {
             ExitCode::from(1)
         }
     }
+}
+
+fn list_ports() -> Result<ExitCode, Failure> {
+    let ports = scip::transport::list_ports().map_err(|error| Failure::new(Exit::Io, error))?;
+    for port in &ports {
+        println!("{}{}", port.path, if port.is_hokuyo { "  a Hokuyo scanner" } else { "" });
+    }
+    if ports.is_empty() {
+        println!(
+            "no serial ports; a scanner on Ethernet is asked by `visagged identify tcp://192.168.0.10:10940`"
+        );
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 fn identify(url: &DeviceUrl) -> Result<ExitCode, Failure> {

@@ -33,8 +33,9 @@ pub struct Map {
     pub height: usize,
     /// nav_msgs/OccupancyGrid's values: -1 unknown, 0 free, 100 occupied; row by row from the bottom.
     pub occupancy: Vec<i8>,
-    /// How narrow the view is from which an occupied cell is seen: 100 a single direction (specular-like),
-    /// 0 from all around (diffuse); -1 where the cell is not occupied. The second layer of the live view.
+    /// How much of the view angles from which an occupied cell was looked at it was missed from: 100 all but a
+    /// single direction (specular-like), 0 none (diffuse); -1 where the cell is not occupied. The second layer of
+    /// the live view.
     pub visibility: Vec<i8>,
     /// All that the mapper knows of each cell, for map.npz.
     pub layers: Vec<Layer>,

@@ -1,6 +1,6 @@
 //! Feeds what was recorded to a mapper, in the order in which it takes it.
 //!
-//! Not the map's files, which the caller writes, and not the formats, which are in [`input`](crate::input).
+//! Not the map's files, which the caller writes, and not the formats, which are in `input`.
 
 use std::path::PathBuf;
 
@@ -57,8 +57,8 @@ pub struct Replay {
     pub input: InputReport,
 }
 
-/// Replays all of `options.inputs`. `on_outcome` gets what became of each scan, in order; `on_progress` is called a
-/// few thousand times at most.
+/// Replays all of `options.inputs`. `on_outcome` gets what became of each scan, in order, with the time since 1970 as its
+/// stamp where the input tells it; `on_progress` is called a few thousand times at most.
 ///
 /// # Errors
 /// Where there is nothing to make a map from. Damage within the input is none: it is in the report.
@@ -73,6 +73,7 @@ pub fn run(
     let total = source.bytes();
     let mut feeder = Feeder {
         mapper: Mapper::new(settings.clone()),
+        wall_offset_ns: source.wall_offset_ns(),
         on_outcome,
         on_progress,
         progress: Progress { bytes: 0, total },
@@ -106,6 +107,7 @@ fn settings(options: &ReplayOptions, source: &dyn input::Source) -> Result<Mappe
 /// Calls the mapper.
 struct Feeder<'a> {
     mapper: Mapper,
+    wall_offset_ns: i64,
     on_outcome: &'a mut dyn FnMut(Outcome),
     on_progress: &'a mut dyn FnMut(Progress),
     progress: Progress,
@@ -113,7 +115,9 @@ struct Feeder<'a> {
 
 impl Feeder<'_> {
     fn give_outcomes(&mut self) {
-        while let Some(outcome) = self.mapper.next_outcome() {
+        while let Some(mut outcome) = self.mapper.next_outcome() {
+            let (Outcome::Inserted { stamp_ns, .. } | Outcome::Skipped { stamp_ns, .. }) = &mut outcome;
+            *stamp_ns += self.wall_offset_ns;
             (self.on_outcome)(outcome);
         }
     }

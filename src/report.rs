@@ -144,7 +144,7 @@ pub struct MapSummary {
     pub free: usize,
     /// See `free`.
     pub occupied: usize,
-    /// Those of the occupied cells that are seen from a narrow view only: drawn blue in map.png.
+    /// Those of the occupied cells that were missed from more directions than seen from: drawn blue in map.png.
     pub specular_like: usize,
     /// See `free`.
     pub unknown: usize,
@@ -154,7 +154,7 @@ impl MapSummary {
     /// Counts the cells.
     pub fn of(map: &Map) -> Self {
         let count = |wanted: fn(&i8) -> bool| map.occupancy.iter().filter(|cell| wanted(cell)).count();
-        let narrow = |&(occupancy, visibility): &(&i8, &i8)| {
+        let specular = |&(occupancy, visibility): &(&i8, &i8)| {
             *occupancy == 100 && *visibility >= crate::output::SPECULAR_FROM
         };
         Self {
@@ -164,7 +164,7 @@ impl MapSummary {
             origin: map.origin,
             free: count(|cell| *cell == 0),
             occupied: count(|cell| *cell == 100),
-            specular_like: map.occupancy.iter().zip(&map.visibility).filter(narrow).count(),
+            specular_like: map.occupancy.iter().zip(&map.visibility).filter(specular).count(),
             unknown: count(|cell| *cell < 0),
         }
     }

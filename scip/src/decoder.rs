@@ -89,6 +89,22 @@ pub enum DecodeErrorKind {
     },
 }
 
+impl DecodeErrorKind {
+    /// A short name, for counting errors by kind.
+    pub fn name(&self) -> &'static str {
+        match self {
+            DecodeErrorKind::NoStatus { .. } => "no_status",
+            DecodeErrorKind::Checksum { .. } => "checksum",
+            DecodeErrorKind::Character { .. } => "character",
+            DecodeErrorKind::LineLength { .. } => "line_length",
+            DecodeErrorKind::PartialValue { .. } => "partial_value",
+            DecodeErrorKind::ValueCount { .. } => "value_count",
+            DecodeErrorKind::TooLong { .. } => "too_long",
+            DecodeErrorKind::Cut { .. } => "cut",
+        }
+    }
+}
+
 /// Bytes that were skipped, and why.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{len} bytes skipped at byte {at} of the stream: {kind}")]

@@ -3,6 +3,7 @@
 
 mod address;
 mod capture;
+mod ports;
 mod serial;
 mod tcp;
 
@@ -11,6 +12,7 @@ use std::time::Duration;
 
 pub use address::{Address, AddressError, DEFAULT_BAUD, DEFAULT_TCP_PORT};
 pub use capture::CaptureFile;
+pub use ports::{FoundPort, list_ports};
 pub use serial::SerialPort;
 pub use tcp::TcpPort;
 

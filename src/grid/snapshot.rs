@@ -1,6 +1,7 @@
 //! Grids as a rectangle of cells: [`Map`].
 
 use super::{
+    cell::Cell,
     standard::Standard,
     tiles::{CellIndex, SIDE, TileIndex},
     visagge::Visagge,
@@ -86,7 +87,7 @@ impl Visagge {
             let place = frame.place(index);
             if cell.verdict.is_shown() {
                 map.occupancy[place] = 100;
-                map.visibility[place] = narrowness(cell.visible.range.width);
+                map.visibility[place] = specularity(cell);
             }
             for ((_, layer), value) in bytes.iter_mut().zip([cell.occupancy, cell.passes, cell.verdict as u8])
             {
@@ -121,10 +122,10 @@ impl Visagge {
     }
 }
 
-/// How narrow a view is: 100 a single direction, 0 a quarter turn and more.
-fn narrowness(width: u16) -> i8 {
-    let quarter = 1 << 14;
-    (100 - i32::from(width.min(quarter)) * 100 / i32::from(quarter)) as i8
+/// Percentage of the view angles that a cell was missed from, among those it was looked at from.
+fn specularity(cell: &Cell) -> i8 {
+    let (missed, visible) = (u32::from(cell.widest_missed), u32::from(cell.visible.range.width));
+    (100 * missed / (missed + visible).max(1)) as i8
 }
 
 impl Standard {

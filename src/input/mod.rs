@@ -166,6 +166,12 @@ pub trait Source {
     /// The scanner in the robot's frame, where input or options tell.
     fn mount(&self) -> Option<Pose>;
 
+    /// What must be added to the stamps of scans and poses to get the time since 1970 (ns): recordings count by the
+    /// robot's monotonic clock.
+    fn wall_offset_ns(&self) -> i64 {
+        0
+    }
+
     /// Settings of the mapper that made the recording.
     fn recorded_mapper(&self) -> Option<&serde_json::Value>;
 

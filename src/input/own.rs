@@ -138,6 +138,10 @@ impl Source for Recording {
         self.mount
     }
 
+    fn wall_offset_ns(&self) -> i64 {
+        self.info.wall_minus_monotonic_ns
+    }
+
     fn recorded_mapper(&self) -> Option<&serde_json::Value> {
         Some(&self.info.info.mapper).filter(|value| !value.is_null())
     }

@@ -35,7 +35,7 @@ pub fn next_scan(
                 }
             }
             scip::Event::Skipped(error) => {
-                report.error(kind_name(&error.kind));
+                report.error(error.kind.name());
                 report.skipped_bytes += error.len;
             }
             scip::Event::Lost { scans, .. } => report.lost_scans += scans,
@@ -45,20 +45,6 @@ pub fn next_scan(
         }
     }
     None
-}
-
-fn kind_name(kind: &scip::DecodeErrorKind) -> &'static str {
-    use scip::DecodeErrorKind::*;
-    match kind {
-        NoStatus { .. } => "no status line",
-        Checksum { .. } => "bad sum",
-        Character { .. } => "bad character",
-        LineLength { .. } => "bad line length",
-        PartialValue { .. } => "cut value",
-        ValueCount { .. } => "wrong number of values",
-        TooLong { .. } => "reply too long",
-        Cut { .. } => "cut reply",
-    }
 }
 
 /// See the module.

@@ -164,7 +164,7 @@ impl Driver {
                 }
                 Event::Skipped(skipped) => {
                     debug!("{skipped}");
-                    self.count_error(kind_name(&skipped.kind));
+                    self.count_error(skipped.kind.name());
                 }
                 Event::Reply(_) => {
                     debug!("{event}");
@@ -226,20 +226,5 @@ fn log_session_event(event: &SessionEvent, url: &str) {
             debug!("{url}: {event}")
         }
         _ => info!("{url}: {event}"),
-    }
-}
-
-/// Name of a kind in report.json: that of the variant.
-pub fn kind_name(kind: &scip::DecodeErrorKind) -> &'static str {
-    use scip::DecodeErrorKind as Kind;
-    match kind {
-        Kind::NoStatus { .. } => "no_status",
-        Kind::Checksum { .. } => "checksum",
-        Kind::Character { .. } => "character",
-        Kind::LineLength { .. } => "line_length",
-        Kind::PartialValue { .. } => "partial_value",
-        Kind::ValueCount { .. } => "value_count",
-        Kind::TooLong { .. } => "too_long",
-        Kind::Cut { .. } => "cut",
     }
 }

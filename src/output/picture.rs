@@ -1,8 +1,7 @@
 //! map.png: the map for people to look at. Programs read map.pgm or map.npz.
 //!
-//! White is free, grey unknown; what is occupied is orange where it is seen from a wide view (diffuse), blue where it
-//! is seen from a narrow one only (glass, mirrors, metal; or seen once and in passing), and in between where that is in
-//! between. Shown is the part that holds what is occupied; beams go much further. A scale bar is drawn below.
+//! White is free, grey unknown; what is occupied is orange where it was seen whenever it was looked at (diffuse), blue
+//! where it was missed from most directions (glass, mirrors, metal), and in between where that is in between. Shown is the part that holds what is occupied; beams go much further. A scale bar is drawn below.
 
 use std::ops::Range;
 
@@ -15,9 +14,8 @@ const DIFFUSE: Colour = [190, 80, 0];
 const SPECULAR: Colour = [0, 70, 255];
 const INK: Colour = [0, 0, 0];
 
-/// `Map::visibility` from which a cell counts as seen from a narrow view only. In the demo hall 98 of 100 cells of
-/// glass lie above, and the wall beside the robot's way lies below.
-pub const SPECULAR_FROM: i8 = 60;
+/// `Map::visibility` from which a cell counts as specular: missed from more directions than it was seen from.
+pub const SPECULAR_FROM: i8 = 50;
 /// The colour goes from orange to blue over so much visibility, around `SPECULAR_FROM`.
 const TRANSITION: i8 = 30;
 
