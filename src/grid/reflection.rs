@@ -8,8 +8,8 @@
 use super::{
     angle::{Angle, AngleRange, units},
     cell::Cell,
-    tiles::{CellIndex, TileIndex},
-    visagge::{Evidence, Visagge},
+    tiles::{CellIndex, SIDE, TileIndex},
+    visagge::Visagge,
 };
 use std::collections::HashMap;
 
@@ -22,6 +22,8 @@ const GAPS: usize = 1;
 const CLEAR_OF_CELL: f64 = 0.3;
 /// What is crossed this near to the sensor is the robot (m).
 const CLEAR_OF_SENSOR: f64 = 0.2;
+/// A surface is drawn no thicker than this (m): two cells, by the noise of ranges and poses.
+const THICKNESS: f64 = 0.1;
 /// The robot's body reaches this far from the sensor (m): half a wheelchair and its footrest.
 const BODY: f64 = 0.6;
 /// How exactly an image is known (m): a cell and the noise of two poses.
@@ -157,7 +159,7 @@ fn glass_reflects(incidence: f64) -> f64 {
     2.0 * face / (1.0 + face)
 }
 
-/// Visits the cells on the line of sight that are shown unless they are images, one of each surface, until `visit` returns true.
+/// Visits the cells on the line of sight that something may be seen through or in, until `visit` returns true.
 fn cross(
     grid: &Visagge,
     sensor: [f64; 2],
@@ -166,38 +168,64 @@ fn cross(
     mut visit: impl FnMut(CellIndex, &Cell, f64) -> bool,
 ) {
     let resolution = grid.resolution;
+    // Half a cell: rows of cells that touch at their corners only are not slipped through.
     let step = resolution / 2.0;
     let direction = [(point[0] - sensor[0]) / range, (point[1] - sensor[1]) / range];
+    let at = |distance: f64| {
+        let point = [sensor[0] + direction[0] * distance, sensor[1] + direction[1] * distance];
+        CellIndex::of(point[0], point[1], resolution)
+    };
     let mut distance = CLEAR_OF_SENSOR;
-    let mut recent = (TileIndex { x: i32::MAX, y: i32::MAX }, None::<&Evidence>);
-    while distance < range - CLEAR_OF_CELL {
-        let at = [sensor[0] + direction[0] * distance, sensor[1] + direction[1] * distance];
-        let index = CellIndex::of(at[0], at[1], resolution);
-        let (place, column, row) = index.split();
-        if recent.0 != place {
-            recent = (place, grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref()));
+    let end = range - CLEAR_OF_CELL;
+    while distance < end {
+        let (place, ..) = at(distance).split();
+        let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
+        let Some(evidence) = evidence.filter(|evidence| evidence.has_mirrors) else {
+            distance = leaves(place, sensor, direction, resolution).max(distance) + step / 8.0;
+            continue;
+        };
+        while distance < end {
+            let index = at(distance);
+            let (inside, column, row) = index.split();
+            if inside != place {
+                break;
+            }
+            let crossed = evidence.mirror_at(column, row);
+            if crossed.is_some_and(|cell| visit(index, cell, distance)) {
+                return;
+            }
+            distance += if crossed.is_some() { THICKNESS } else { step };
         }
-        if let Some(cell) = recent.1.and_then(|evidence| evidence.shown_at(column, row))
-            && visit(index, cell, distance)
-        {
-            return;
-        }
-        distance += step;
     }
 }
 
+/// Distance at which a line of sight that is in a tile leaves it (m).
+fn leaves(place: TileIndex, sensor: [f64; 2], direction: [f64; 2], resolution: f64) -> f64 {
+    let side = f64::from(SIDE) * resolution;
+    let along = |i: usize, place: i32| {
+        let border = if direction[i] > 0.0 { f64::from(place + 1) } else { f64::from(place) } * side;
+        if direction[i] == 0.0 { f64::INFINITY } else { (border - sensor[i]) / direction[i] }
+    };
+    along(0, place.x).min(along(1, place.y))
+}
+
 impl Visagge {
-    /// Whether a cell that is shown lies within this distance of the point (m).
+    /// Whether a cell that is shown lies within this distance of the point (m), in x and in y.
     fn is_mapped_near(&self, point: [f64; 2], distance: f64) -> bool {
         let low = CellIndex::of(point[0] - distance, point[1] - distance, self.resolution);
         let high = CellIndex::of(point[0] + distance, point[1] + distance, self.resolution);
-        (low.y..=high.y).any(|y| {
-            (low.x..=high.x).any(|x| {
-                let (place, column, row) = CellIndex { x, y }.split();
+        let ((first, left, bottom), (last, right, top)) = (low.split(), high.split());
+        (first.y..=last.y).any(|y| {
+            let rows =
+                if y == first.y { bottom } else { 0 }..=if y == last.y { top } else { SIDE as usize - 1 };
+            (first.x..=last.x).any(|x| {
+                let from = if x == first.x { left } else { 0 };
+                let beyond = if x == last.x { SIDE as usize - 1 - right } else { 0 };
+                let columns = (u64::MAX << from) & (u64::MAX >> beyond);
                 self.tiles
-                    .get(place)
+                    .get(TileIndex { x, y })
                     .and_then(|tile| tile.evidence.as_ref())
-                    .is_some_and(|evidence| evidence.shown[row] >> column & 1 == 1)
+                    .is_some_and(|evidence| evidence.shown[rows.clone()].iter().any(|row| row & columns != 0))
             })
         })
     }

@@ -115,12 +115,20 @@ impl Visagge {
         let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("tested above");
         evidence.changed = false;
         evidence.shown = [0; 64];
+        evidence.mirrors = [0; 64];
+        evidence.has_mirrors = false;
         for cell in &mut evidence.cells {
-            cell.line =
-                if cell.occupancy < LEAST_HITS { None } else { window.surface(cell.index(place), cell) };
+            // What was never missed is solid and nothing is seen through it: its surface does not matter.
+            let matters = cell.occupancy >= LEAST_HITS && (cell.widest_missed > 0 || cell.was_crossed);
+            cell.line = if matters { window.surface(cell.index(place), cell) } else { None };
             cell.shape = shape(cell, cell.line.as_ref());
+            let [column, row] = cell.place;
             if cell.shape.is_shown() {
-                evidence.shown[usize::from(cell.place[1])] |= 1 << cell.place[0];
+                evidence.shown[usize::from(row)] |= 1 << column;
+                if cell.widest_missed > 0 && cell.line.is_some_and(|line| line.is_flat()) {
+                    evidence.mirrors[usize::from(row)] |= 1 << column;
+                    evidence.has_mirrors = true;
+                }
             }
         }
     }

@@ -95,6 +95,10 @@ pub(super) struct Evidence {
     pub(super) cells: Vec<Cell>,
     /// A bit for each cell that is shown unless it is an image, a word a row.
     pub(super) shown: [u64; SIDE as usize],
+    /// A bit for each of these that something may be seen through or in, a word a row.
+    pub(super) mirrors: [u64; SIDE as usize],
+    /// Whether there is any such cell.
+    pub(super) has_mirrors: bool,
     /// Whether anything changed since the verdict on the tile.
     pub(super) changed: bool,
 }
@@ -105,6 +109,8 @@ impl Default for Evidence {
             slots: Box::new([NONE; (SIDE * SIDE) as usize]),
             cells: Vec::new(),
             shown: [0; SIDE as usize],
+            mirrors: [0; SIDE as usize],
+            has_mirrors: false,
             changed: false,
         }
     }
@@ -120,11 +126,11 @@ impl Evidence {
         &mut self.cells[usize::from(*slot)]
     }
 
-    /// The cell in this column and row, if it is shown unless it is an image.
-    pub(super) fn shown_at(&self, column: usize, row: usize) -> Option<&Cell> {
-        let shown = self.shown[row] >> column & 1 == 1;
+    /// The cell in this column and row, if something may be seen through it or in it.
+    pub(super) fn mirror_at(&self, column: usize, row: usize) -> Option<&Cell> {
+        let mirrors = self.mirrors[row] >> column & 1 == 1;
         let slot = || usize::from(self.slots[slot([column as u8, row as u8])]);
-        if shown { self.cells.get(slot()) } else { None }
+        if mirrors { self.cells.get(slot()) } else { None }
     }
 
     /// Memory beside the tile itself (bytes).
@@ -141,6 +147,7 @@ impl Evidence {
             }
             self.slots[slot(cell.place)] = NONE;
             self.shown[usize::from(cell.place[1])] &= !(1 << cell.place[0]);
+            self.mirrors[usize::from(cell.place[1])] &= !(1 << cell.place[0]);
             self.cells.swap_remove(number);
             if let Some(moved) = self.cells.get(number) {
                 self.slots[slot(moved.place)] = number as u16;
