@@ -104,6 +104,10 @@ pub struct ReplayArgs {
     /// Configuration, of which the table `mapper` is used in the place of what the recording says.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// Write explain.png too: why each cell is shown (black solid, blue a surface visible near its normal, green seen
+    /// again) or not (sand too few returns, red somebody who moved, violet an image in a mirror or pane).
+    #[arg(long)]
+    pub explain: bool,
     /// Topic of the scans in a bag.
     #[arg(long, value_name = "TOPIC")]
     pub scan_topic: Option<String>,

@@ -221,6 +221,9 @@ fn replay_files(args: &ReplayArgs) -> Result<ExitCode, Failure> {
     let report =
         Report::of_replay(&map, mapper, replayed.input, &replayed.settings, started_s, started.elapsed());
     outputs.write(&map, &report).map_err(io)?;
+    if args.explain {
+        outputs.write_explained(&map).map_err(io)?;
+    }
     info!("the map: {}", args.out.join("map.png").display());
     Ok(ExitCode::SUCCESS)
 }

@@ -83,6 +83,16 @@ impl Outputs {
             .with_context(|| format!("cannot write the map into {}", self.folder.display()))
     }
 
+    /// Writes explain.png, which shows why each cell is in the map or not; nothing for a grid without verdicts.
+    pub fn write_explained(&mut self, map: &Map) -> Result<()> {
+        let Some(picture) = picture::encode_explained(map) else { return Ok(()) };
+        let path = self.folder.join("explain.png");
+        self.write_aside(&picture?)
+            .and_then(|aside| Ok(aside.persist(&path)?))
+            .and_then(|_| sync_folder(&self.folder))
+            .with_context(|| format!("cannot write {}", path.display()))
+    }
+
     fn write_set(&mut self, map: &Map, report: &Report) -> Result<()> {
         let contents = [
             ("map.pgm", nav2::pgm(map)),

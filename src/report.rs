@@ -144,7 +144,7 @@ pub struct MapSummary {
     pub free: usize,
     /// See `free`.
     pub occupied: usize,
-    /// Those of the occupied cells that were missed from more directions than seen from: drawn blue in map.png.
+    /// Those of the occupied cells that are drawn blue in map.png.
     pub specular_like: usize,
     /// See `free`.
     pub unknown: usize,

@@ -5,7 +5,8 @@
 
 use std::ops::Range;
 
-use crate::map::Map;
+use crate::grid::verdict::Verdict;
+use crate::map::{Map, Values};
 
 type Colour = [u8; 3];
 const FREE: Colour = [255, 255, 255];
@@ -14,10 +15,21 @@ const DIFFUSE: Colour = [190, 80, 0];
 const SPECULAR: Colour = [0, 70, 255];
 const INK: Colour = [0, 0, 0];
 
-/// `Map::visibility` from which a cell counts as specular: missed from more directions than it was seen from.
-pub const SPECULAR_FROM: i8 = 50;
+/// Colours of explain.png: strong where the cell is shown, pale where it is not.
+const VERDICTS: [(Verdict, Colour); 6] = [
+    (Verdict::Solid, INK),
+    (Verdict::Surface, [0, 70, 255]),
+    (Verdict::Repeated, [0, 140, 60]),
+    (Verdict::TooFew, [215, 215, 160]),
+    (Verdict::NoSurface, [255, 150, 140]),
+    (Verdict::Image, [240, 150, 240]),
+];
+
+/// `Map::visibility` from which a cell counts as specular: missed from a quarter of the directions that
+/// it was looked at from. A wall is missed from a few, at grazing incidence.
+pub const SPECULAR_FROM: i8 = 25;
 /// The colour goes from orange to blue over so much visibility, around `SPECULAR_FROM`.
-const TRANSITION: i8 = 30;
+const TRANSITION: i8 = 20;
 
 /// Unknown border around what is shown (m).
 const MARGIN: f64 = 1.0;
@@ -83,20 +95,41 @@ impl Canvas {
     }
 }
 
-/// The file's bytes.
+/// The bytes of map.png.
 pub fn encode(map: &Map) -> Result<Vec<u8>, png::EncodingError> {
-    let canvas = draw(map);
-    let mut bytes = Vec::new();
-    let (width, height) = (canvas.width as u32, canvas.height as u32);
-    let mut encoder = png::Encoder::new(&mut bytes, width, height);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder.set_depth(png::BitDepth::Eight);
-    let mut writer = encoder.write_header()?;
-    writer.write_image_data(&canvas.pixels)?;
-    writer.finish()?;
-    Ok(bytes)
+    draw(map, |index| match map.occupancy[index] {
+        -1 => UNKNOWN,
+        occupancy => colour(occupancy, map.visibility[index]),
+    })
+    .png()
 }
 
+/// The bytes of explain.png: each cell with evidence in the colour of its verdict. `None` where the map has none.
+pub fn encode_explained(map: &Map) -> Option<Result<Vec<u8>, png::EncodingError>> {
+    let layer = map.layers.iter().find(|layer| layer.name == "verdict")?;
+    let Values::U8(verdicts) = &layer.values else { return None };
+    let canvas = draw(map, |index| match (verdicts[index], map.occupancy[index]) {
+        (0, -1) => UNKNOWN,
+        (0, _) => FREE,
+        (verdict, _) => {
+            VERDICTS.iter().find(|(of, _)| *of as u8 == verdict).map_or(INK, |(_, colour)| *colour)
+        }
+    });
+    Some(canvas.png())
+}
+
+impl Canvas {
+    fn png(&self) -> Result<Vec<u8>, png::EncodingError> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, self.width as u32, self.height as u32);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(&self.pixels)?;
+        writer.finish()?;
+        Ok(bytes)
+    }
+}
 /// Columns and rows of the map that are shown.
 struct View {
     columns: Range<usize>,
@@ -125,7 +158,7 @@ fn most_of(mut places: Vec<usize>, end: usize, margin: usize) -> Range<usize> {
     first.saturating_sub(margin)..(last + 1 + margin).min(end)
 }
 
-fn draw(map: &Map) -> Canvas {
+fn draw(map: &Map, colour: impl Fn(usize) -> Colour) -> Canvas {
     let view = View::of(map);
     let longest = view.columns.len().max(view.rows.len()).max(1);
     let cell = (WANTED_PIXELS / longest).clamp(1, LARGEST_CELL);
@@ -135,11 +168,7 @@ fn draw(map: &Map) -> Canvas {
     canvas.fill(0, 0, width, height, UNKNOWN);
     for (y, row) in view.rows.clone().rev().enumerate() {
         for (x, column) in view.columns.clone().enumerate() {
-            let index = row * map.width + column;
-            if map.occupancy[index] >= 0 {
-                let colour = colour(map.occupancy[index], map.visibility[index]);
-                canvas.fill(x * cell, y * cell, cell, cell, colour);
-            }
+            canvas.fill(x * cell, y * cell, cell, cell, colour(row * map.width + column));
         }
     }
     draw_scale(&mut canvas, height, cell as f64 / map.resolution);
@@ -173,6 +202,7 @@ fn draw_scale(canvas: &mut Canvas, top: usize, pixels_per_metre: f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::map::Layer;
 
     #[test]
     fn colours_stand_where_the_cells_are() {
@@ -198,6 +228,30 @@ mod tests {
         // 80 pixels a metre: a bar of 0.2 m is 16 pixels of the 21 that it may have.
         assert_eq!(at(8 + 16 - 1, 16 + 12), INK);
         assert_eq!(at(8 + 16 + 4, 16 + 12), FREE);
+    }
+
+    #[test]
+    fn every_verdict_has_a_colour_of_its_own() {
+        let map = Map {
+            resolution: 0.1,
+            origin: [0.0, 0.0],
+            width: VERDICTS.len(),
+            height: 1,
+            occupancy: vec![0; VERDICTS.len()],
+            visibility: vec![-1; VERDICTS.len()],
+            layers: vec![Layer {
+                name: "verdict",
+                values: Values::U8(VERDICTS.iter().map(|(verdict, _)| *verdict as u8).collect()),
+            }],
+        };
+        let bytes = encode_explained(&map).unwrap().unwrap();
+        let mut reader = png::Decoder::new(std::io::Cursor::new(&bytes)).read_info().unwrap();
+        let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut pixels).unwrap();
+        for (number, (_, colour)) in VERDICTS.iter().enumerate() {
+            assert_eq!(pixels[number * LARGEST_CELL * 3..][..3], *colour);
+        }
+        assert!(encode_explained(&Map { layers: Vec::new(), ..map }).is_none());
     }
 
     #[test]
