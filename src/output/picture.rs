@@ -276,10 +276,10 @@ mod tests {
     }
 
     #[test]
-    fn the_colour_turns_blue_where_the_view_is_narrow() {
+    fn the_colour_turns_blue_where_a_cell_was_missed() {
         assert_eq!(colour(100, 0), DIFFUSE);
-        assert_eq!(colour(100, 45), DIFFUSE);
-        assert_eq!(colour(100, 75), SPECULAR);
+        assert_eq!(colour(100, 15), DIFFUSE);
+        assert_eq!(colour(100, 35), SPECULAR);
         let [red, _, blue] = colour(100, SPECULAR_FROM);
         assert!(red < DIFFUSE[0] && blue > DIFFUSE[2]);
     }
