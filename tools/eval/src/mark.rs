@@ -25,8 +25,8 @@ use crate::{page, picture, table, why};
 pub struct Arguments {
     /// Worlds: shipped ones, files, or generated ones as KIND-SEED (hall-7). Without any, the sets.
     worlds: Vec<String>,
-    /// Seeds of the noise in the worlds that are named.
-    #[arg(long, value_delimiter = ',', default_value = "1")]
+    /// Seeds of the noise. Without any, a generated world's own, and 1 for others.
+    #[arg(long, value_delimiter = ',')]
     seeds: Vec<u64>,
     /// Sets of worlds, where none is named.
     #[arg(long, value_delimiter = ',', default_value = "tuning,validation")]
@@ -209,18 +209,19 @@ fn mark_drive(number: usize, job: &Job, contenders: &[Contender], arguments: &Ar
             let truth = &drive.truths[part].1;
             let is_final = part + 1 == drive.truths.len();
             let png = (is_final && arguments.out.is_some()).then(|| picture::errors(map, truth).png());
+            let score = score(truth, &marked(map));
             rows.push(Row {
                 drive: number,
                 world: job.name(),
                 group: job.group(),
                 mapper: contender.name.clone(),
                 part: [part + 1, drive.truths.len()],
-                score: score(truth, &marked(map)),
+                score,
                 insert_us: [report.insert_us.median, report.insert_us.p99],
                 map_ms,
                 bytes: report.map_bytes,
                 png: png.transpose()?,
-                why: arguments.why.then(|| why::wrong_cells(map, truth)),
+                why: arguments.why.then(|| why::wrong_cells(map, truth, &score)),
             });
             Ok(())
         })?;

@@ -20,15 +20,16 @@ pub enum Set {
 }
 
 impl Set {
-    /// The worlds, and the seed of each one's noise.
-    fn worlds(self) -> Vec<(String, u64)> {
-        let generated = |seeds: &[u64]| {
-            let all =
-                KINDS.iter().flat_map(|(kind, _)| seeds.iter().map(move |s| (format!("{kind}-{s}"), *s)));
-            all.collect::<Vec<_>>()
+    /// The worlds by name.
+    fn worlds(self) -> Vec<String> {
+        let generated = |seeds: &[u64]| -> Vec<String> {
+            KINDS
+                .iter()
+                .flat_map(|(kind, _)| seeds.iter().map(move |seed| format!("{kind}-{seed}")))
+                .collect()
         };
         match self {
-            Set::Tuning => World::shipped().map(|name| (name.into(), 1)).chain(generated(&TUNING)).collect(),
+            Set::Tuning => World::shipped().map(String::from).chain(generated(&TUNING)).collect(),
             Set::Validation => generated(&VALIDATION),
         }
     }
@@ -80,11 +81,8 @@ pub struct Job {
 impl Job {
     /// World, and where they are not the usual ones, seed and variant.
     pub fn name(&self) -> String {
-        let seed = if self.seed == 1 || self.world.ends_with(&format!("-{}", self.seed)) {
-            String::new()
-        } else {
-            format!(" seed {}", self.seed)
-        };
+        let is_usual = self.seed == usual_seed(&self.world);
+        let seed = if is_usual { String::new() } else { format!(" seed {}", self.seed) };
         let variant =
             if self.variant.name == PLAIN.name { String::new() } else { format!(" {}", self.variant.name) };
         format!("{}{seed}{variant}", self.world)
@@ -102,11 +100,7 @@ impl Job {
 
     /// The world itself.
     pub fn load(&self) -> Result<World> {
-        let generated = self.world.rsplit_once('-').and_then(|(kind, seed)| {
-            let known = KINDS.iter().any(|(name, _)| *name == kind);
-            Some((kind, seed.parse().ok().filter(|_| known)?))
-        });
-        match generated {
+        match generated(&self.world) {
             Some((kind, seed)) => World::generate(kind, seed),
             None => World::load(&self.world),
         }
@@ -121,19 +115,37 @@ impl Job {
     }
 }
 
-/// The drives of these worlds and seeds, or else of these sets, in each of these variants.
+/// Kind and seed of a generated world, which is named KIND-SEED.
+fn generated(world: &str) -> Option<(&str, u64)> {
+    let (kind, seed) = world.rsplit_once('-')?;
+    let known = KINDS.iter().any(|(name, _)| *name == kind);
+    Some((kind, seed.parse().ok().filter(|_| known)?))
+}
+
+/// Seed of the noise where none is asked for: a generated world's own.
+fn usual_seed(world: &str) -> u64 {
+    generated(world).map_or(1, |(_, seed)| seed)
+}
+
+/// The drives of these worlds, or else of these sets, with each of these seeds, or else the usual one, in each of these
+/// variants.
 pub fn jobs(worlds: &[String], seeds: &[u64], sets: &[Set], variants: &[Variant]) -> Vec<Job> {
-    let named = worlds.iter().flat_map(|world| seeds.iter().map(|&seed| (None, world.clone(), seed)));
-    let of_set = |set: &Set| {
-        let set = *set;
-        set.worlds().into_iter().map(move |(world, seed)| (Some(set), world, seed))
+    let worlds: Vec<(Option<Set>, String)> = if worlds.is_empty() {
+        let of_set =
+            |set: &Set| set.worlds().into_iter().map(|world| (Some(*set), world)).collect::<Vec<_>>();
+        sets.iter().flat_map(of_set).collect()
+    } else {
+        worlds.iter().map(|world| (None, world.clone())).collect()
     };
-    let drives: Vec<_> =
-        if worlds.is_empty() { sets.iter().flat_map(of_set).collect() } else { named.collect() };
-    let with_variants = drives.into_iter().flat_map(|(set, world, seed)| {
-        variants.iter().map(move |&variant| Job { set, world: world.clone(), seed, variant })
-    });
-    with_variants.collect()
+    let mut jobs = Vec::new();
+    for (set, world) in worlds {
+        let usual = [usual_seed(&world)];
+        for &seed in if seeds.is_empty() { &usual } else { seeds } {
+            let job = |&variant: &Variant| Job { set, world: world.clone(), seed, variant };
+            jobs.extend(variants.iter().map(job));
+        }
+    }
+    jobs
 }
 
 /// A variant by its name.
@@ -164,24 +176,13 @@ mod tests {
     #[test]
     fn named_worlds_and_variants_make_the_jobs() {
         let variants = ["plain", "lean-1"].map(|name| variant(name).unwrap());
-        let names: Vec<_> = jobs(&["hall".into(), "lobby-7".into()], &[1, 7], &[Set::Tuning], &variants)
-            .iter()
-            .map(Job::name)
-            .collect();
-        assert_eq!(
-            names,
-            [
-                "hall",
-                "hall lean-1",
-                "hall seed 7",
-                "hall seed 7 lean-1",
-                "lobby-7",
-                "lobby-7 lean-1",
-                "lobby-7",
-                "lobby-7 lean-1"
-            ]
-        );
+        let worlds = ["hall".into(), "lobby-7".into()];
+        let names = |seeds: &[u64]| -> Vec<String> {
+            jobs(&worlds, seeds, &[Set::Tuning], &variants).iter().map(Job::name).collect()
+        };
+        assert_eq!(names(&[]), ["hall", "hall lean-1", "lobby-7", "lobby-7 lean-1"]);
+        assert_eq!(names(&[1]), ["hall", "hall lean-1", "lobby-7 seed 1", "lobby-7 seed 1 lean-1"]);
         assert!(variant("upright").unwrap_err().contains("dust-3"));
-        assert!(jobs(&["castle-1".into()], &[1], &[], &variants)[0].load().is_err());
+        assert!(jobs(&["castle-1".into()], &[], &[], &variants)[0].load().is_err());
     }
 }

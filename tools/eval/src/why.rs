@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use scipsim::score::Score;
 use scipsim::truth::{Label, TruthMap};
 use visagged::grid::verdict::Verdict;
 use visagged::map::{Map, Values};
@@ -9,8 +10,9 @@ use visagged::map::{Map, Values};
 use crate::picture::place;
 
 /// Counts of wrong cells by label and verdict, as one line. A surface's cell is missing where nothing in its 3 x 3
-/// neighbourhood is shown; the verdicts are all that are found there. Empty for maps without verdicts.
-pub fn wrong_cells(map: &Map, truth: &TruthMap) -> String {
+/// neighbourhood is shown; the verdicts are all that are found there. What the marks lack beyond these was lost when the map
+/// was thinned: the surface is shown too thick, or beside its place. Empty for maps without verdicts.
+pub fn wrong_cells(map: &Map, truth: &TruthMap, score: &Score) -> String {
     let Some(Values::U8(verdicts)) = map.layers.iter().find(|l| l.name == "verdict").map(|l| &l.values)
     else {
         return String::new();
@@ -36,8 +38,14 @@ pub fn wrong_cells(map: &Map, truth: &TruthMap) -> String {
             *counts.entry((format!("{label:?}"), verdicts)).or_default() += 1;
         }
     }
+    let lost = |what: &str, share: scipsim::Share| {
+        let missing: u32 =
+            counts.iter().filter(|((label, _), _)| label == what).map(|(_, count)| count).sum();
+        format!("; {what} lost by thinning: {}", (share.of - share.count).saturating_sub(missing as usize))
+    };
+    let lost = lost("Glass", score.glass) + &lost("Diffuse", score.diffuse);
     let text = counts.iter().map(|((label, verdicts), count)| format!("{label} {verdicts:?}: {count}"));
-    text.collect::<Vec<_>>().join("; ")
+    text.collect::<Vec<_>>().join("; ") + &lost
 }
 
 /// As [`Verdict::is_shown`], by number.
