@@ -39,6 +39,12 @@ impl Canvas {
         }
     }
 
+    /// Colour of a pixel.
+    #[cfg(test)]
+    pub fn at(&self, x: usize, y: usize) -> Colour {
+        self.pixels[y * self.width + x]
+    }
+
     /// Each pixel as a square of `times` x `times`.
     pub fn enlarged(&self, times: usize) -> Canvas {
         let mut large = Canvas::new(self.width * times, self.height() * times);

@@ -6,9 +6,9 @@ use visagged::map::Map;
 use crate::canvas::{Canvas, Colour};
 
 /// What the colours of [`errors`] mean.
-pub const ERRORS: [(Colour, &str); 11] = [
-    ([0, 60, 255], "glass, found"),
-    ([0, 225, 255], "glass, missing"),
+pub const ERRORS: [(Colour, &str); 13] = [
+    ([0, 60, 255], "glass, mirror or metal, found"),
+    ([0, 225, 255], "glass, mirror or metal, missing"),
     ([0, 0, 0], "diffuse, found"),
     ([160, 160, 160], "diffuse, missing"),
     ([255, 0, 0], "moving thing, shown"),
@@ -16,6 +16,8 @@ pub const ERRORS: [(Colour, &str); 11] = [
     ([255, 0, 255], "image in glass or a mirror, shown"),
     ([248, 222, 248], "image, not shown"),
     ([255, 120, 0], "thing taken away, shown"),
+    ([255, 235, 200], "thing taken away, not shown"),
+    ([90, 90, 70], "beside a surface"),
     ([0, 160, 0], "stray cell"),
     ([225, 238, 255], "the robot's way"),
 ];
@@ -32,8 +34,10 @@ pub const LABELS: [(Colour, &str); 5] = [
 /// The part of the truth where anything was seen: strong colours where the map is occupied, pale where it is not.
 pub fn errors(map: &Map, truth: &TruthMap) -> Canvas {
     draw(truth, |cell| {
-        let occupied = at(map, truth, cell) == Some(100);
-        match (truth.labels[cell], occupied) {
+        let label = truth.labels[cell];
+        // A surface is found where the map has it within one cell, as the marks have it (but for the thinning).
+        let reach = if matches!(label, Label::Glass | Label::Diffuse) { 1 } else { 0 };
+        match (label, is_occupied_within(map, truth, cell, reach)) {
             (Label::Glass, true) => [0, 60, 255],
             (Label::Glass, false) => [0, 225, 255],
             (Label::Diffuse, true) => [0, 0, 0],
@@ -44,7 +48,7 @@ pub fn errors(map: &Map, truth: &TruthMap) -> Canvas {
             (Label::Reflection, false) => [248, 222, 248],
             (Label::Removed, true) => [255, 120, 0],
             (Label::Removed, false) => [255, 235, 200],
-            // The width of a surface, which may be two cells.
+            // The surface's own width, or beside its place.
             (Label::Other, true) if truth.clearance[cell] <= CLEAR_OF_SURFACES => [90, 90, 70],
             (Label::Other, true) => [0, 160, 0],
             (Label::Other, false) if truth.path[cell] => [225, 238, 255],
@@ -93,6 +97,12 @@ fn draw(truth: &TruthMap, colour: impl Fn(usize) -> Colour) -> Canvas {
     canvas
 }
 
+fn is_occupied_within(map: &Map, truth: &TruthMap, cell: usize, reach: i64) -> bool {
+    let (x, y) = ((cell % truth.width) as i64, (cell / truth.width) as i64);
+    let mut around = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| [x + dx, y + dy]));
+    around.any(|[x, y]| place(map, truth, x, y).is_some_and(|place| map.occupancy[place] == 100))
+}
+
 /// The map's value in a cell of the truth, if the map goes that far.
 fn at(map: &Map, truth: &TruthMap, cell: usize) -> Option<i8> {
     place(map, truth, (cell % truth.width) as i64, (cell / truth.width) as i64)
@@ -105,4 +115,36 @@ pub fn place(map: &Map, truth: &TruthMap, x: i64, y: i64) -> Option<usize> {
     let (column, row) = (x + offset(0), y + offset(1));
     let inside = (0..map.width as i64).contains(&column) && (0..map.height as i64).contains(&row);
     inside.then(|| row as usize * map.width + column as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_surface_is_found_by_the_cell_beside_it_and_an_error_only_where_it_is() {
+        let labels = [Label::Glass, Label::Other, Label::Motion, Label::Glass].to_vec();
+        let truth = TruthMap {
+            resolution: 0.05,
+            origin: [0.0, 0.0],
+            width: 4,
+            height: 1,
+            labels,
+            clearance: vec![0, 1, 1, 0],
+            path: vec![false; 4],
+        };
+        let map = Map {
+            resolution: 0.05,
+            origin: [0.05, 0.0],
+            width: 1,
+            height: 1,
+            occupancy: vec![100],
+            visibility: vec![0],
+            layers: vec![],
+        };
+        let (found, missing, not_shown) = (ERRORS[0].0, ERRORS[1].0, ERRORS[5].0);
+        let picture = errors(&map, &truth);
+        let row: Vec<Colour> = (0..4).map(|x| picture.at(x, 0)).collect();
+        assert_eq!(row, [found, [90, 90, 70], not_shown, missing]);
+    }
 }
