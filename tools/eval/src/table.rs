@@ -170,7 +170,7 @@ pub fn percent(value: Option<f64>) -> String {
 
 /// The first line.
 pub fn heading() -> String {
-    let mut text = format!("{:28} {:14}", "drive", "mapper");
+    let mut text = format!("{:28} {:20}", "drive", "mapper");
     for name in COLUMNS.iter().map(|column| column.name).chain(COSTS) {
         write!(text, " {name:>6.6}").expect("text takes all");
     }
@@ -178,7 +178,7 @@ pub fn heading() -> String {
 }
 
 fn line(name: &str, mapper: &str, percents: &[Option<f64>], cost: Option<[f64; 4]>) -> String {
-    let mut text = format!("{name:28} {mapper:14}");
+    let mut text = format!("{name:28} {mapper:20}");
     for value in percents {
         write!(text, " {:>6}", percent(*value)).expect("text takes all");
     }
