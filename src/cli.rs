@@ -98,7 +98,7 @@ pub struct ReplayArgs {
     /// Without it, what the input has.
     #[arg(long, value_name = "SRC")]
     pub pose: Option<input::PoseSource>,
-    /// Kind of the grid: visagge, paper or standard. Without it, that of the recording, or visagge.
+    /// Kind of the grid: visagge, paper, standard, visits or glints. Without it, that of the recording, or visagge.
     #[arg(long, value_name = "KIND", value_parser = mapper_kind)]
     pub mapper: Option<MapperKind>,
     /// Configuration, of which the table `mapper` is used in the place of what the recording says.

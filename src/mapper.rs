@@ -26,6 +26,10 @@ pub enum MapperKind {
     Paper,
     /// The standard occupancy grid, which loses glass.
     Standard,
+    /// Hits over visits on keyframes, as slam_toolbox and Karto have it.
+    Visits,
+    /// The same, with returns too bright to be diffuse marked for good; needs intensities.
+    Glints,
 }
 
 /// Where the scanner is mounted on the robot.
@@ -53,7 +57,7 @@ impl Mount {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MapperSettings {
-    /// Which grid is kept: visagge, paper or standard. Default visagge.
+    /// Which grid is kept: visagge, paper, standard, visits or glints. Default visagge.
     pub mapper: MapperKind,
     /// Side of a cell (m, 0.01..0.5). Default 0.05, as in the paper's experiments.
     pub resolution: f64,

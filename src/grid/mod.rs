@@ -1,8 +1,9 @@
-//! Occupancy grids: the VisAGGE grid and, for comparison, the standard one.
+//! Occupancy grids: the VisAGGE grid and, for comparison, those that count hits along rays.
 
 pub mod angle;
 pub mod cell;
 pub mod free;
+pub mod ray;
 mod reflection;
 mod single_pass;
 mod snapshot;
@@ -13,6 +14,7 @@ pub mod tiles;
 pub mod verdict;
 pub mod view;
 pub mod visagge;
+pub mod visits;
 
 use crate::{
     map::Map,
@@ -21,6 +23,7 @@ use crate::{
 use standard::Standard;
 use sweep::Sweep;
 use visagge::Visagge;
+use visits::Visits;
 
 /// The grid that a mapper keeps.
 #[derive(Debug)]
@@ -29,6 +32,8 @@ pub enum Grid {
     Visagge(Box<Visagge>),
     /// The standard occupancy grid.
     Standard(Standard),
+    /// The hits/visits grid with keyframes.
+    Visits(Visits),
 }
 
 impl Grid {
@@ -39,6 +44,8 @@ impl Grid {
             MapperKind::Visagge => Grid::Visagge(Box::new(Visagge::new(resolution, visagge))),
             MapperKind::Paper => Grid::Visagge(Box::new(Visagge::as_in_the_paper(resolution, visagge))),
             MapperKind::Standard => Grid::Standard(Standard::new(resolution, visagge.range_max)),
+            MapperKind::Visits => Grid::Visits(Visits::new(resolution, visagge.range_max)),
+            MapperKind::Glints => Grid::Visits(Visits::with_glints(resolution, visagge.range_max)),
         }
     }
 
@@ -47,6 +54,7 @@ impl Grid {
         match self {
             Grid::Visagge(grid) => grid.insert(sweep),
             Grid::Standard(grid) => grid.insert(sweep),
+            Grid::Visits(grid) => grid.insert(sweep),
         }
     }
 
@@ -55,6 +63,7 @@ impl Grid {
         match self {
             Grid::Visagge(grid) => grid.map(),
             Grid::Standard(grid) => grid.map(),
+            Grid::Visits(grid) => grid.map(),
         }
     }
 
@@ -63,6 +72,7 @@ impl Grid {
         match self {
             Grid::Visagge(grid) => grid.bytes(),
             Grid::Standard(grid) => grid.bytes(),
+            Grid::Visits(grid) => grid.bytes(),
         }
     }
 }

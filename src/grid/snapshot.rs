@@ -5,6 +5,7 @@ use super::{
     standard::Standard,
     tiles::{CellIndex, SIDE, TileIndex},
     visagge::Visagge,
+    visits::Visits,
 };
 use crate::map::{Layer, Map, Values};
 
@@ -131,18 +132,33 @@ fn specularity(cell: &Cell) -> i8 {
 impl Standard {
     /// The map as it is now.
     pub fn map(&self) -> Map {
-        let frame = Frame::around(self.cells().map(|(cell, ..)| cell));
-        let mut map = frame.map(self.resolution());
-        let mut log_odds = vec![0.0; frame.area()];
-        for (cell, occupied, odds) in self.cells() {
-            let place = frame.place(cell);
-            map.occupancy[place] = if occupied { 100 } else { 0 };
-            if occupied {
-                map.visibility[place] = 0;
-            }
-            log_odds[place] = odds;
-        }
-        map.layers.push(Layer { name: "log_odds", values: Values::F32(log_odds) });
-        map
+        plain(self.resolution(), "log_odds", || self.cells())
     }
+}
+
+impl Visits {
+    /// The map as it is now.
+    pub fn map(&self) -> Map {
+        plain(self.resolution(), "hit_ratio", || self.cells())
+    }
+}
+
+/// The map of a grid that knows of each cell whether it is occupied, and one number, but not from where it is seen.
+fn plain<I>(resolution: f64, layer: &'static str, cells: impl Fn() -> I) -> Map
+where
+    I: Iterator<Item = (CellIndex, bool, f32)>,
+{
+    let frame = Frame::around(cells().map(|(cell, ..)| cell));
+    let mut map = frame.map(resolution);
+    let mut values = vec![0.0; frame.area()];
+    for (cell, occupied, value) in cells() {
+        let place = frame.place(cell);
+        map.occupancy[place] = if occupied { 100 } else { 0 };
+        if occupied {
+            map.visibility[place] = 0;
+        }
+        values[place] = value;
+    }
+    map.layers.push(Layer { name: layer, values: Values::F32(values) });
+    map
 }

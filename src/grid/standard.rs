@@ -2,6 +2,7 @@
 //! table 9.2), which assumes that whatever is there is seen from everywhere.
 
 use super::{
+    ray::{returns, walk},
     sweep::Sweep,
     tiles::{CellIndex, SIDE, Tiles},
 };
@@ -17,16 +18,19 @@ const OCCUPIED: i16 = 62;
 
 const CELLS: usize = (SIDE * SIDE) as usize;
 
-/// One tile: log odds in hundredths, and whether each cell was ever updated.
+/// One tile: log odds in hundredths, and flags, a word a row.
 #[derive(Clone, Debug)]
 struct Tile {
     odds: Box<[i16; CELLS]>,
     known: [u64; SIDE as usize],
+    /// The cells that the scan of this number has updated: a hit goes before a miss, and each counts once.
+    updated: [u64; SIDE as usize],
+    scan: u64,
 }
 
 impl Default for Tile {
     fn default() -> Self {
-        Tile { odds: Box::new([0; CELLS]), known: [0; SIDE as usize] }
+        Tile { odds: Box::new([0; CELLS]), known: [0; SIDE as usize], updated: [0; SIDE as usize], scan: 0 }
     }
 }
 
@@ -36,47 +40,39 @@ pub struct Standard {
     resolution: f64,
     range_max: f64,
     tiles: Tiles<Tile>,
-    /// The cells of the current scan, a hit before a miss, each cell once a scan.
-    updated: std::collections::HashSet<CellIndex>,
+    /// Counts the scans.
+    scan: u64,
 }
 
 impl Standard {
     /// An empty grid of this resolution (m) that uses returns up to `range_max` (m).
     pub fn new(resolution: f64, range_max: f64) -> Standard {
-        Standard { resolution, range_max, tiles: Tiles::default(), updated: Default::default() }
+        Standard { resolution, range_max, tiles: Tiles::default(), scan: 0 }
     }
 
     /// Inserts one scan: every cell with a return is more likely occupied, every cell before it free.
     pub fn insert(&mut self, sweep: &Sweep) {
-        self.updated.clear();
-        let returns = |range: f32| range > 0.0 && f64::from(range) <= self.range_max;
-        let ends: Vec<_> = sweep
-            .beams()
-            .zip(&sweep.scan.ranges)
-            .filter(|(_, range)| returns(**range))
-            .map(|((origin, direction), &range)| {
-                let end = origin + direction * f64::from(range);
-                (
-                    CellIndex::of(origin.x, origin.y, self.resolution),
-                    CellIndex::of(end.x, end.y, self.resolution),
-                )
-            })
-            .collect();
-        for &(_, end) in &ends {
+        self.scan += 1;
+        let ends: Vec<_> = returns(sweep, self.resolution, self.range_max).collect();
+        for &(_, _, end) in &ends {
             self.update(end, HIT);
         }
-        for (start, end) in ends {
+        for (_, start, end) in ends {
             walk(start, end, |cell| self.update(cell, CROSSED));
         }
     }
 
     fn update(&mut self, cell: CellIndex, change: i16) {
-        if !self.updated.insert(cell) {
-            return;
-        }
         let (place, column, row) = cell.split();
         let number = self.tiles.find_or_make(place);
         let tile = self.tiles.at_mut(number);
+        if tile.scan != self.scan {
+            (tile.scan, tile.updated) = (self.scan, [0; SIDE as usize]);
+        }
+        if tile.updated[row] >> column & 1 == 1 {
+            return;
+        }
+        tile.updated[row] |= 1 << column;
         let odds = &mut tile.odds[row * SIDE as usize + column];
         *odds = (*odds + change).clamp(-BOUND, BOUND);
         tile.known[row] |= 1 << column;
@@ -102,26 +98,6 @@ impl Standard {
                     .then(|| (place.cell(column, row), odds > OCCUPIED, f32::from(odds) / 100.0))
             })
         })
-    }
-}
-
-/// Visits the cells from `start` up to but without `end` (Bresenham).
-fn walk(start: CellIndex, end: CellIndex, mut visit: impl FnMut(CellIndex)) {
-    let (dx, dy) = ((end.x - start.x).abs(), -(end.y - start.y).abs());
-    let (sx, sy) = ((end.x - start.x).signum(), (end.y - start.y).signum());
-    let mut error = dx + dy;
-    let mut cell = start;
-    while cell != end {
-        visit(cell);
-        let twice = 2 * error;
-        if twice >= dy {
-            error += dy;
-            cell.x += sx;
-        }
-        if twice <= dx {
-            error += dx;
-            cell.y += sy;
-        }
     }
 }
 
@@ -151,14 +127,5 @@ mod tests {
         }
         let occupied: Vec<_> = grid.cells().filter(|cell| cell.1).map(|(cell, ..)| cell.x).collect();
         assert_eq!(occupied, [10]);
-    }
-
-    #[test]
-    fn rays_visit_each_cell_once() {
-        for (x, y) in [(7, 3), (-7, 3), (2, -9), (0, 4), (-5, -5)] {
-            let mut seen = Vec::new();
-            walk(CellIndex { x: 0, y: 0 }, CellIndex { x, y }, |cell| seen.push(cell));
-            assert_eq!(seen.len() as i32, x.abs().max(y.abs()));
-        }
     }
 }

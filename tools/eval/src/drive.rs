@@ -9,8 +9,6 @@ use visagged::{
 
 /// A drive and its truth.
 pub struct Drive {
-    /// World and seed.
-    pub name: String,
     /// All scans.
     pub scans: Vec<Scan>,
     /// All poses as reported.
@@ -23,7 +21,7 @@ pub struct Drive {
 
 impl Drive {
     /// Simulates a drive and keeps the truth after each of `parts` even parts of it.
-    pub fn new(name: String, world: &World, options: SimulationOptions, parts: usize) -> Drive {
+    pub fn new(world: &World, options: SimulationOptions, parts: usize) -> Drive {
         let mut simulation = Simulation::new(world, options);
         let total = (simulation.duration_ns() / simulation.period_ns()) as usize;
         let pose = simulation.mount();
@@ -67,7 +65,7 @@ impl Drive {
                 truths.push((number + 1, simulation.truth()));
             }
         }
-        Drive { name, scans, poses, mount, truths }
+        Drive { scans, poses, mount, truths }
     }
 }
 
