@@ -179,7 +179,9 @@ impl Localizer {
             return self.begin(motion, scan, wheels, wheels_middle, sweep_s);
         };
         match (wheels_middle, wheels, self.wheels) {
-            (Some(now), Some(Wheels { reset, .. }), Some((before, reset_before))) if reset == reset_before => {
+            (Some(now), Some(Wheels { reset, .. }), Some((before, reset_before)))
+                if reset == reset_before =>
+            {
                 let by = self.mount.inverse() * before.inverse() * now * self.mount;
                 motion.drive(middle_ns, &by);
             }
@@ -215,7 +217,13 @@ impl Localizer {
     }
 
     /// The scanner at the first and last beam, in its own frame at the middle of the scan.
-    fn within_scan(&self, motion: &Motion, wheels: Option<Wheels>, middle: Option<Pose>, sweep_s: f64) -> [Pose; 2] {
+    fn within_scan(
+        &self,
+        motion: &Motion,
+        wheels: Option<Wheels>,
+        middle: Option<Pose>,
+        sweep_s: f64,
+    ) -> [Pose; 2] {
         match (wheels, middle) {
             (Some(wheels), Some(middle)) => [wheels.start, wheels.end]
                 .map(|pose| self.mount.inverse() * middle.inverse() * pose * self.mount),
@@ -236,10 +244,8 @@ impl Localizer {
         let mut found = refine(&self.current, points, &prior);
         let [place, heading] = motion.sigmas();
         if found.explained < GOOD || place > NARROW[0] || heading > NARROW[1] {
-            let window = Window {
-                reach: (3.0 * place).clamp(0.2, 1.0),
-                turn: (3.0 * heading).clamp(0.1, 0.5),
-            };
+            let window =
+                Window { reach: (3.0 * place).clamp(0.2, 1.0), turn: (3.0 * heading).clamp(0.1, 0.5) };
             for candidate in search::around(&self.current, points, &prior.pose, window) {
                 let other = refine(&self.current, points, &free(candidate.pose));
                 if other.explained > found.explained + 0.05 {
@@ -268,8 +274,7 @@ impl Localizer {
     fn miss(&mut self, motion: &Motion, doubt: Doubt) -> Option<Doubt> {
         self.bad += 1;
         let [place, _] = motion.sigmas();
-        self.tracking =
-            if place > self.settings.lost_sigma { Tracking::Lost } else { Tracking::Degraded };
+        self.tracking = if place > self.settings.lost_sigma { Tracking::Lost } else { Tracking::Degraded };
         Some(if self.tracking == Tracking::Lost { Doubt::Lost } else { doubt })
     }
 

@@ -123,7 +123,8 @@ impl Sums {
                 sums.add(Vector2::x(), off.x, arm, weight);
                 sums.add(Vector2::y(), off.y, arm, weight);
             } else if let Some(direction) = direction {
-                let weight = weight / (point.variance + if is_line { across.max(floor) } else { SHORT * SHORT });
+                let weight =
+                    weight / (point.variance + if is_line { across.max(floor) } else { SHORT * SHORT });
                 sums.add(direction, direction.dot(&off), arm, weight);
             }
         }

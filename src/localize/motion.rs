@@ -71,7 +71,8 @@ impl Motion {
         self.stamp_ns = stamp_ns;
         self.pose *= self.ahead(dt);
         // A robot that drives and turns drives to where it turns.
-        let turned = nalgebra::UnitComplex::new(self.velocity.z * dt) * Vector2::new(self.velocity.x, self.velocity.y);
+        let turned =
+            nalgebra::UnitComplex::new(self.velocity.z * dt) * Vector2::new(self.velocity.x, self.velocity.y);
         self.velocity = Vector3::new(turned.x, turned.y, self.velocity.z);
         let mut step = Matrix6::identity();
         for i in 0..3 {
@@ -108,10 +109,8 @@ impl Motion {
         covariance[(1, 1)] += along * s * s + across * c * c + FLOOR;
         covariance[(0, 1)] += (along - across) * c * s;
         covariance[(1, 0)] += (along - across) * c * s;
-        covariance[(2, 2)] += ODOMETRY[2].powi(2) * way
-            + ODOMETRY_TURN.powi(2) * turn
-            + ODOMETRY_REST[1].powi(2) * dt
-            + FLOOR;
+        covariance[(2, 2)] +=
+            ODOMETRY[2].powi(2) * way + ODOMETRY_TURN.powi(2) * turn + ODOMETRY_REST[1].powi(2) * dt + FLOOR;
         self.covariance = Matrix6::zeros();
         self.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&covariance);
         set_velocity_variance(&mut self.covariance, ODOMETRY_VELOCITY);

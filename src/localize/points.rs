@@ -127,25 +127,23 @@ impl Points {
         };
         let (normal, least, most) = spread.axes();
         let toward = self.beams[i].from - at;
-        (most > STRAIGHT * STRAIGHT * least)
-            .then(|| if normal.dot(&toward) < 0.0 { -normal } else { normal })
+        (most > STRAIGHT * STRAIGHT * least).then(|| if normal.dot(&toward) < 0.0 { -normal } else { normal })
     }
 
     /// Marks what is narrower than [`POST`] and nearer than what the beams to both sides meet.
     fn mark_posts(&mut self) {
         let mut first = 0;
         for i in 1..=self.all.len() {
-            let ends = i == self.all.len() || (self.all[i].at - self.all[i - 1].at).norm_squared() > POST * POST;
+            let ends =
+                i == self.all.len() || (self.all[i].at - self.all[i - 1].at).norm_squared() > POST * POST;
             if !ends {
                 continue;
             }
             let is_narrow = (self.all[i - 1].at - self.all[first].at).norm_squared() < POST * POST;
             let range = |k: usize| (self.all[k].at - self.beams[k].from).norm();
             let is_behind = |k: usize, edge: usize| range(k) > range(edge) + 2.0 * POST;
-            let stands_before = first > 0
-                && i < self.all.len()
-                && is_behind(first - 1, first)
-                && is_behind(i, i - 1);
+            let stands_before =
+                first > 0 && i < self.all.len() && is_behind(first - 1, first) && is_behind(i, i - 1);
             if is_narrow && i - first >= 2 && stands_before {
                 self.all[first..i].iter_mut().for_each(|point| point.post = true);
             }

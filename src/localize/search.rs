@@ -5,7 +5,7 @@
 
 use super::points::ScanPoint;
 use super::submap::{CELL, Submap, index};
-use crate::pose::{Pose, pose};
+use crate::pose::Pose;
 use nalgebra::Vector2;
 
 /// Points that a search looks at, spread evenly over the scan.
@@ -154,7 +154,11 @@ fn turn_step(points: &[ScanPoint]) -> f64 {
 }
 
 /// The points' cells where the scanner is at `at`.
-fn cells_of(few: &[Vector2<f64>], rotation: &nalgebra::UnitComplex<f64>, at: Vector2<f64>) -> Vec<(i32, i32)> {
+fn cells_of(
+    few: &[Vector2<f64>],
+    rotation: &nalgebra::UnitComplex<f64>,
+    at: Vector2<f64>,
+) -> Vec<(i32, i32)> {
     few.iter()
         .map(|point| {
             let place = at + rotation * point;
@@ -181,9 +185,7 @@ impl Field {
         for (x, y) in map.occupied() {
             let (column, row) = (x - low.0, y - low.1);
             // Half as much beside a surface: poses are looked at in steps of a cell.
-            for (dx, dy, value) in
-                [(0, 0, 100), (1, 0, 50), (-1, 0, 50), (0, 1, 50), (0, -1, 50)]
-            {
+            for (dx, dy, value) in [(0, 0, 100), (1, 0, 50), (-1, 0, 50), (0, 1, 50), (0, -1, 50)] {
                 let (column, row) = (column + dx, row + dy);
                 if (0..width).contains(&column) && (0..height).contains(&row) {
                     let cell = &mut cells[(row * width + column) as usize];
@@ -233,10 +235,4 @@ impl Field {
         }
         f64::from(sum) / 100.0 / (cells.len() as f64).max(1.0)
     }
-}
-
-/// A pose from its parts, for tests and callers that have no rotation at hand.
-#[cfg(test)]
-pub(super) fn at(x: f64, y: f64, yaw: f64) -> Pose {
-    pose(x, y, yaw)
 }

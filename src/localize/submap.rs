@@ -222,10 +222,7 @@ impl Submap {
         {
             return;
         }
-        surface.add(
-            [(at.x - f64::from(x) * CELL) as f32, (at.y - f64::from(y) * CELL) as f32],
-            normal,
-        );
+        surface.add([(at.x - f64::from(x) * CELL) as f32, (at.y - f64::from(y) * CELL) as f32], normal);
         if surface.last_hit != key {
             surface.last_hit = key;
             surface.hits += 1;
