@@ -16,7 +16,8 @@ pub const WHAT_IS_NEEDED: &str = "\
 visagged needs a scanner, or a recording to replay.
 
   A demo without a scanner:   visagged --device sim:hall --out demo
-  A scanner on USB:           visagged --device /dev/ttyACM0 --pose unix:/tmp/pose --out map
+  A scanner on USB:           visagged --device /dev/ttyACM0 --out map
+  ... on a robot with poses:  visagged --device /dev/ttyACM0 --pose unix:/tmp/pose --out map
   A scanner on Ethernet:      visagged --device tcp://192.168.0.10:10940 --pose udp://127.0.0.1:7777 --out map
   A recording, bag or log:    visagged replay FILE --out map
   As a service:               visagged --config /etc/visagged.toml
@@ -51,7 +52,8 @@ pub struct RunArgs {
     /// Record all that comes and goes, to DIR where given.
     #[arg(long, value_name = "DIR", num_args = 0..=1, require_equals = true)]
     pub record: Option<Option<PathBuf>>,
-    /// Where poses are received: unix:PATH, udp://HOST:PORT or none.
+    /// Where poses come from: unix:PATH or udp://HOST:PORT for poses in the map; match, or match+unix:PATH and
+    /// match+udp://HOST:PORT with odometry as a guide; none. Without it, match.
     #[arg(long, value_name = "SRC")]
     pub pose: Option<PoseSource>,
     /// Folder of the map's files.
@@ -94,8 +96,8 @@ pub struct ReplayArgs {
     /// Folder of the map's files.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Poses: recorded, tf, odom, FILE.tum, fixed where the scanner stood still, or fixed:X,Y,YAW (m, m, rad).
-    /// Without it, what the input has.
+    /// Poses: recorded, tf, odom, FILE.tum, fixed where the scanner stood still, fixed:X,Y,YAW (m, m, rad), match with
+    /// the input's odometry as a guide, or match-ranges without. Without it, what the input has, else match.
     #[arg(long, value_name = "SRC")]
     pub pose: Option<input::PoseSource>,
     /// Kind of the grid: visagge, paper, standard, visits or glints. Without it, that of the recording, or visagge.

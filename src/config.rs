@@ -14,7 +14,7 @@ use scip::transport::Address;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::mapper::MapperSettings;
+use crate::mapper::{MapperSettings, PoseUse};
 
 /// All settings.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -100,7 +100,9 @@ pub enum DeviceUrl {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PoseConfig {
-    /// Where poses are received: `unix:PATH`, `udp://HOST:PORT` (loopback addresses only) or `none`. Default: `none`.
+    /// Where poses come from. `unix:PATH` or `udp://HOST:PORT` (loopback addresses only): datagrams with poses in the
+    /// map. `match`: each scan is matched with those before; `match+unix:PATH` or `match+udp://HOST:PORT`: the same with
+    /// odometry as a guide. `none`. Default: `match`.
     pub source: PoseSource,
     /// The frame whose poses are wanted; poses of any other (key `child`) are rejected. Default: `base_link` (REP-105).
     pub child: String,
@@ -112,20 +114,45 @@ pub struct PoseConfig {
 
 impl Default for PoseConfig {
     fn default() -> Self {
-        Self { source: PoseSource::None, child: "base_link".into(), stale_s: 1.0, future_s: 0.1 }
+        Self { source: PoseSource::default(), child: "base_link".into(), stale_s: 1.0, future_s: 0.1 }
     }
 }
 
 /// Where poses come from.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PoseSource {
     /// Nowhere; then no scan is inserted.
-    #[default]
     None,
     /// Datagrams on a Unix socket of this name.
     Unix(PathBuf),
     /// Datagrams on a loopback address.
     Udp(SocketAddr),
+    /// Matching, guided by the odometry of this source.
+    Match(Box<PoseSource>),
+}
+
+impl Default for PoseSource {
+    fn default() -> Self {
+        Self::Match(Box::new(Self::None))
+    }
+}
+
+impl PoseSource {
+    /// Where datagrams are received: `Unix`, `Udp` or `None`.
+    pub fn socket(&self) -> &Self {
+        match self {
+            Self::Match(odometry) => odometry,
+            given => given,
+        }
+    }
+
+    /// What the poses are that come.
+    pub fn pose_use(&self) -> PoseUse {
+        match self {
+            Self::Match(_) => PoseUse::Odometry,
+            _ => PoseUse::Map,
+        }
+    }
 }
 
 /// The recording.
@@ -244,6 +271,16 @@ impl Config {
         within("mapper.visagge.contradiction", grid.contradiction, 1, 100)?;
         within("mapper.visagge.occupancy_cap", grid.occupancy_cap, 1, 200)?;
         within("mapper.visagge.body_radius", grid.body_radius, 0.0, 1.0)?;
+        let localize = &mapper.localize;
+        within("mapper.localize.spacing", localize.spacing, 0.02, 1.0)?;
+        within("mapper.localize.points", localize.points, 50, 1081)?;
+        within("mapper.localize.key_way", localize.key_way, 0.02, 1.0)?;
+        within("mapper.localize.key_turn", localize.key_turn, 0.01, 1.0)?;
+        within("mapper.localize.submap_way", localize.submap_way, 5.0, 1000.0)?;
+        within("mapper.localize.explained", localize.explained, 0.1, 0.9)?;
+        within("mapper.localize.position_sigma", localize.position_sigma, 0.01, 1.0)?;
+        within("mapper.localize.heading_sigma", localize.heading_sigma, 0.005, 0.5)?;
+        within("mapper.localize.lost_sigma", localize.lost_sigma, 0.1, 10.0)?;
         within("pose.stale_s", self.pose.stale_s, 0.01, 60.0)?;
         within("pose.future_s", self.pose.future_s, 0.0, 10.0)?;
         within("record.rotate_bytes", self.record.rotate_bytes, 1 << 20, 1 << 40)?;
@@ -296,11 +333,22 @@ impl FromStr for PoseSource {
         if text == "none" {
             return Ok(Self::None);
         }
+        if text == "match" {
+            return Ok(Self::default());
+        }
+        if let Some(odometry) = text.strip_prefix("match+") {
+            return match odometry.parse()? {
+                source @ (Self::Unix(_) | Self::Udp(_)) => Ok(Self::Match(Box::new(source))),
+                _ => Err(format!("{text:?} names no odometry: match+unix:PATH or match+udp://HOST:PORT")),
+            };
+        }
         if let Some(path) = text.strip_prefix("unix:").filter(|path| !path.is_empty()) {
             return Ok(Self::Unix(path.into()));
         }
         let Some(address) = text.strip_prefix("udp://") else {
-            return Err(format!("{text:?} is none of unix:PATH, udp://HOST:PORT, none"));
+            return Err(format!(
+                "{text:?} is none of match, unix:PATH, udp://HOST:PORT, match+unix:PATH, match+udp://HOST:PORT, none"
+            ));
         };
         let mut addresses =
             address.to_socket_addrs().map_err(|error| format!("{text:?} is not udp://HOST:PORT: {error}"))?;
@@ -319,6 +367,8 @@ impl fmt::Display for PoseSource {
             Self::None => f.write_str("none"),
             Self::Unix(path) => write!(f, "unix:{}", path.display()),
             Self::Udp(address) => write!(f, "udp://{address}"),
+            Self::Match(odometry) if **odometry == Self::None => f.write_str("match"),
+            Self::Match(odometry) => write!(f, "match+{odometry}"),
         }
     }
 }
@@ -371,7 +421,7 @@ mod tests {
         assert_eq!(shown.device.url, example.device.url);
         // What the example sets for the service is no default.
         shown.device.url = None;
-        shown.pose.source = PoseSource::None;
+        shown.pose.source = PoseSource::default();
         shown.record.folder = RecordConfig::default().folder;
         shown.output.folder = None;
         assert_eq!(shown, Config::default());

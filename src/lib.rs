@@ -29,6 +29,7 @@ pub mod exit;
 pub mod grid;
 pub mod input;
 pub mod live;
+pub mod localize;
 pub mod logging;
 pub mod map;
 pub mod mapper;

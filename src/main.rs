@@ -73,9 +73,13 @@ fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
 
     // Lives until the run has ended.
     let simulator = match &url {
-        DeviceUrl::Sim(world) => Some(Simulator::start(world, &mut config, args.pose.is_none())?),
+        DeviceUrl::Sim(world) => {
+            let sends_poses = args.pose.as_ref().is_none_or(|pose| *pose.socket() != PoseSource::None);
+            Some(Simulator::start(world, &mut config, sends_poses)?)
+        }
         _ => None,
     };
+    config.mapper.poses = config.pose.source.pose_use();
     if config.pose.source == PoseSource::None {
         warn!("no scan will be mapped without poses; --pose SRC says where they come from");
     }

@@ -2,10 +2,12 @@
 //!
 //! It has no clock of its own and decides by what it was given alone, so that the same calls in the same order make the same
 //! map, bit by bit, on the robot and in a replay. A scan waits until there are poses around it, and is
-//! given up when they have not come within a time; it is never inserted at a guessed pose.
+//! given up when they have not come within a time; it is never inserted at a guessed pose. Where there are no poses in the map,
+//! the scans are [located](crate::localize) by what was seen before, with odometry as a guide where it comes.
 
 use crate::{
     grid::{Grid, sweep::Sweep, visagge::VisaggeSettings},
+    localize::{Doubt, LocalizeSettings, Localizer, Tracking, Wheels},
     map::Map,
     pose::{NoPose, Pose, PoseBuffer, StampedPose, pose},
     scan::Scan,
@@ -30,6 +32,17 @@ pub enum MapperKind {
     Visits,
     /// The same, with returns too bright to be diffuse marked for good; needs intensities.
     Glints,
+}
+
+/// What the poses that come are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PoseUse {
+    /// Poses in the map, as a localizer has them: scans are inserted there.
+    #[default]
+    Map,
+    /// Odometry, which drifts, or nothing at all: scans are matched with the map.
+    Odometry,
 }
 
 /// Where the scanner is mounted on the robot.
@@ -69,6 +82,10 @@ pub struct MapperSettings {
     pub pose_wait: f64,
     /// Poses farther apart than this are not interpolated (s, 0..10). Default 0.25.
     pub pose_gap: f64,
+    /// What the poses are that come: map or odometry. Default map; live, `pose.source` decides.
+    pub poses: PoseUse,
+    /// How scans are located, where poses are odometry or there are none.
+    pub localize: LocalizeSettings,
     /// What the VisAGGE grid assumes.
     pub visagge: VisaggeSettings,
 }
@@ -82,6 +99,8 @@ impl Default for MapperSettings {
             ignore_beams: Vec::new(),
             pose_wait: 0.5,
             pose_gap: 0.25,
+            poses: PoseUse::default(),
+            localize: LocalizeSettings::default(),
             visagge: VisaggeSettings::default(),
         }
     }
@@ -103,6 +122,22 @@ pub enum SkipReason {
     Empty,
     /// It is not newer than the scan before.
     OutOfOrder,
+    /// It does not fit what was seen before.
+    PoorMatch,
+    /// It fits what was seen before in several places.
+    AmbiguousMatch,
+    /// Nobody knows where it was taken.
+    Lost,
+}
+
+impl From<Doubt> for SkipReason {
+    fn from(doubt: Doubt) -> SkipReason {
+        match doubt {
+            Doubt::Poor => SkipReason::PoorMatch,
+            Doubt::Ambiguous => SkipReason::AmbiguousMatch,
+            Doubt::Lost => SkipReason::Lost,
+        }
+    }
 }
 
 /// What became of a scan.
@@ -118,6 +153,8 @@ pub enum Outcome {
         start: Pose,
         /// base_link at its last beam.
         end: Pose,
+        /// Covariance xx, xy, xa, yy, ya, aa (m2, m rad, rad2) against the map near by, where the pose was matched.
+        covariance: Option<[f64; 6]>,
     },
     /// It is not.
     Skipped {
@@ -128,6 +165,25 @@ pub enum Outcome {
         /// Why not.
         reason: SkipReason,
     },
+}
+
+/// How well the place was known.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LocalizeReport {
+    /// State after the last scan.
+    pub state: Tracking,
+    /// Scans after which the state was this.
+    pub scans: BTreeMap<Tracking, u64>,
+    /// Times that the place was lost.
+    pub lost: u64,
+    /// Times that it was found again.
+    pub found: u64,
+    /// Covariance of the last pose: xx, xy, xa, yy, ya, aa (m2, m rad, rad2).
+    pub covariance: [f64; 6],
+    /// CPU time of locating one scan (us).
+    pub match_us: InsertTime,
+    /// Memory that the matching maps hold (bytes).
+    pub bytes: usize,
 }
 
 /// CPU time of insertions (us).
@@ -162,6 +218,22 @@ pub struct MapperReport {
     pub insert_us: InsertTime,
     /// Memory that the grid holds (bytes).
     pub map_bytes: usize,
+    /// How the scans were located; absent where poses in the map were given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub localization: Option<LocalizeReport>,
+}
+
+/// Locates scans and keeps the account of it.
+#[derive(Debug)]
+struct Matching {
+    localizer: Localizer,
+    /// No odometry came in time for the last scan that waited for it: the next ones do not wait until some comes.
+    is_silent: bool,
+    scans: BTreeMap<Tracking, u64>,
+    lost: u64,
+    found: u64,
+    covariance: [f64; 6],
+    time_ns: Histogram<u64>,
 }
 
 /// The mapper.
@@ -169,6 +241,8 @@ pub struct MapperReport {
 pub struct Mapper {
     settings: MapperSettings,
     grid: Grid,
+    /// Present where poses are not given in the map.
+    matching: Option<Matching>,
     poses: PoseBuffer,
     waiting: VecDeque<Scan>,
     outcomes: VecDeque<Outcome>,
@@ -187,12 +261,13 @@ impl Mapper {
     pub fn new(settings: MapperSettings) -> Mapper {
         Mapper {
             grid: Grid::new(&settings),
+            matching: (settings.poses == PoseUse::Odometry).then(|| Matching::new(&settings)),
             settings,
             poses: PoseBuffer::default(),
             waiting: VecDeque::new(),
             outcomes: VecDeque::new(),
             last: None,
-            insert_ns: Histogram::new_with_bounds(1, 60_000_000_000, 3).expect("bounds in order, 3 digits"),
+            insert_ns: times(),
             read: 0,
             inserted: 0,
             skipped: BTreeMap::new(),
@@ -218,8 +293,7 @@ impl Mapper {
         }
         self.prepare(&mut scan);
         self.waiting.push_back(scan);
-        self.insert_waiting();
-        self.give_up(now_ns);
+        self.take_waiting(now_ns);
     }
 
     /// Takes in a pose of base_link.
@@ -227,14 +301,15 @@ impl Mapper {
         self.poses_read += 1;
         if !self.poses.push(pose) {
             self.poses_out_of_order += 1;
+        } else if let Some(matching) = &mut self.matching {
+            matching.is_silent = false;
         }
-        self.insert_waiting();
-        self.give_up(pose.received_ns);
+        self.take_waiting(pose.received_ns);
     }
 
     /// No more poses will come: what still waits is given up.
     pub fn finish(&mut self) {
-        self.give_up(i64::MAX);
+        self.take_waiting(i64::MAX);
     }
 
     /// What became of the scans, one after the other.
@@ -249,7 +324,6 @@ impl Mapper {
 
     /// What was done so far.
     pub fn report(&self) -> MapperReport {
-        let us = |ns: u64| ns as f64 / 1e3;
         MapperReport {
             scans_read: self.read,
             scans_inserted: self.inserted,
@@ -257,13 +331,9 @@ impl Mapper {
             scans_missing: self.missing,
             poses_read: self.poses_read,
             poses_out_of_order: self.poses_out_of_order,
-            insert_us: InsertTime {
-                median: us(self.insert_ns.value_at_quantile(0.5)),
-                p99: us(self.insert_ns.value_at_quantile(0.99)),
-                max: us(self.insert_ns.max()),
-                mean: self.insert_ns.mean() / 1e3,
-            },
+            insert_us: InsertTime::of(&self.insert_ns),
             map_bytes: self.grid.bytes(),
+            localization: self.matching.as_ref().map(Matching::report),
         }
     }
 
@@ -281,6 +351,51 @@ impl Mapper {
         }
     }
 
+    /// Decides on the scans that can be decided on at this moment.
+    fn take_waiting(&mut self, now_ns: i64) {
+        if self.matching.is_some() {
+            return self.locate_waiting(now_ns);
+        }
+        self.insert_waiting();
+        self.give_up(now_ns);
+    }
+
+    /// Locates the scans in their order, each when its odometry has come or is not waited for any more.
+    fn locate_waiting(&mut self, now_ns: i64) {
+        let gap_ns = (self.settings.pose_gap * 1e9) as i64;
+        while let Some(scan) = self.waiting.front() {
+            let Some(matching) = &mut self.matching else { return };
+            let start = self.poses.at(scan.stamp_ns, gap_ns);
+            let end = self.poses.at(scan.end_ns(), gap_ns);
+            let is_late = now_ns.saturating_sub(scan.received_ns) > wait_ns(&self.settings);
+            let wheels = match (start, end) {
+                (Ok(start), Ok(end)) => {
+                    let reset = self.poses.reset_at(scan.end_ns()).unwrap_or_default();
+                    Some(Wheels { start, end, reset })
+                }
+                (Err(NoPose::NotYet), _) | (_, Err(NoPose::NotYet)) if !matching.is_silent => {
+                    if !is_late {
+                        return;
+                    }
+                    matching.is_silent = true;
+                    None
+                }
+                _ => None,
+            };
+            let Some(scan) = self.waiting.pop_front() else { return };
+            let before = cpu_ns();
+            let located = matching.locate(&scan, wheels);
+            matching.time_ns.saturating_record(cpu_ns() - before);
+            match located.doubt {
+                None => self.insert(&scan, located.start, located.end, Some(located.covariance)),
+                Some(doubt) => self.skip(&scan, doubt.into()),
+            }
+        }
+        if let Some((_, stamp_ns)) = self.last {
+            self.poses.forget_before(stamp_ns);
+        }
+    }
+
     /// Inserts, in their order, the scans whose poses are known.
     fn insert_waiting(&mut self) {
         let gap_ns = (self.settings.pose_gap * 1e9) as i64;
@@ -291,7 +406,7 @@ impl Mapper {
                 (Err(NoPose::NotYet), _) | (_, Err(NoPose::NotYet)) => return,
                 (Ok(start), Ok(end)) => {
                     let scan = self.waiting.pop_front().expect("it is the front one");
-                    self.insert(&scan, start, end);
+                    self.insert(&scan, start, end, None);
                     continue;
                 }
                 (Err(NoPose::TooOld), _) | (_, Err(NoPose::TooOld)) => SkipReason::BeforeFirstPose,
@@ -308,27 +423,88 @@ impl Mapper {
 
     /// Gives up the scans that have waited too long at this moment.
     fn give_up(&mut self, now_ns: i64) {
-        let wait_ns = (self.settings.pose_wait * 1e9) as i64;
+        let wait_ns = wait_ns(&self.settings);
         while self.waiting.front().is_some_and(|scan| now_ns.saturating_sub(scan.received_ns) > wait_ns) {
             let scan = self.waiting.pop_front().expect("it is the front one");
             self.skip(&scan, SkipReason::NoPose);
         }
     }
 
-    fn insert(&mut self, scan: &Scan, start: Pose, end: Pose) {
+    fn insert(&mut self, scan: &Scan, start: Pose, end: Pose, covariance: Option<[f64; 6]>) {
         let mount = self.settings.mount.pose();
         let sweep = Sweep { scan, start: start * mount, end: end * mount };
         let before = cpu_ns();
         self.grid.insert(&sweep);
         self.insert_ns.saturating_record(cpu_ns() - before);
         self.inserted += 1;
-        self.outcomes.push_back(Outcome::Inserted { seq: scan.seq, stamp_ns: scan.stamp_ns, start, end });
+        let (seq, stamp_ns) = (scan.seq, scan.stamp_ns);
+        self.outcomes.push_back(Outcome::Inserted { seq, stamp_ns, start, end, covariance });
     }
 
     fn skip(&mut self, scan: &Scan, reason: SkipReason) {
         *self.skipped.entry(reason).or_default() += 1;
         self.outcomes.push_back(Outcome::Skipped { seq: scan.seq, stamp_ns: scan.stamp_ns, reason });
     }
+}
+
+impl Matching {
+    fn new(settings: &MapperSettings) -> Matching {
+        Matching {
+            localizer: Localizer::new(settings.localize.clone(), settings.mount.pose()),
+            is_silent: false,
+            scans: BTreeMap::new(),
+            lost: 0,
+            found: 0,
+            covariance: [0.0; 6],
+            time_ns: times(),
+        }
+    }
+
+    fn locate(&mut self, scan: &Scan, wheels: Option<Wheels>) -> crate::localize::Located {
+        let was_lost = self.localizer.tracking() == Tracking::Lost;
+        let located = self.localizer.locate(scan, wheels);
+        let state = self.localizer.tracking();
+        *self.scans.entry(state).or_default() += 1;
+        let is_lost = state == Tracking::Lost;
+        self.lost += u64::from(is_lost && !was_lost);
+        self.found += u64::from(was_lost && !is_lost);
+        self.covariance = located.covariance;
+        located
+    }
+
+    fn report(&self) -> LocalizeReport {
+        LocalizeReport {
+            state: self.localizer.tracking(),
+            scans: self.scans.clone(),
+            lost: self.lost,
+            found: self.found,
+            covariance: self.covariance,
+            match_us: InsertTime::of(&self.time_ns),
+            bytes: self.localizer.bytes(),
+        }
+    }
+}
+
+impl InsertTime {
+    fn of(times_ns: &Histogram<u64>) -> InsertTime {
+        let us = |ns: u64| ns as f64 / 1e3;
+        InsertTime {
+            median: us(times_ns.value_at_quantile(0.5)),
+            p99: us(times_ns.value_at_quantile(0.99)),
+            max: us(times_ns.max()),
+            mean: times_ns.mean() / 1e3,
+        }
+    }
+}
+
+/// Room for times up to a minute (ns).
+fn times() -> Histogram<u64> {
+    Histogram::new_with_bounds(1, 60_000_000_000, 3).expect("bounds in order, 3 digits")
+}
+
+/// How long a scan waits for poses (ns).
+fn wait_ns(settings: &MapperSettings) -> i64 {
+    (settings.pose_wait * 1e9) as i64
 }
 
 /// CPU time of this thread (ns).

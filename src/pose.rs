@@ -89,6 +89,12 @@ impl PoseBuffer {
         Ok(interpolate(&before.pose, &next.pose, part))
     }
 
+    /// The count of jumps at a moment, where poses reach that far.
+    pub fn reset_at(&self, stamp_ns: i64) -> Option<u32> {
+        let after = self.poses.partition_point(|pose| pose.stamp_ns < stamp_ns);
+        self.poses.get(after).map(|pose| pose.reset)
+    }
+
     /// Forgets what is older than the moment, except for the last pose before it.
     pub fn forget_before(&mut self, stamp_ns: i64) {
         while self.poses.get(1).is_some_and(|second| second.stamp_ns <= stamp_ns) {

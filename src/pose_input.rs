@@ -244,11 +244,11 @@ impl Drop for SocketName {
 }
 
 impl PoseSocket {
-    /// Opens the source; `None` for the source `none`. A name left by a run that was killed is replaced; one at
+    /// Opens the source; `None` for the sources `none` and `match`. A name left by a run that was killed is replaced; one at
     /// which another process listens is not, nor is anything that is no socket.
     pub fn open(source: &PoseSource) -> Result<Option<Self>> {
-        let socket = match source {
-            PoseSource::None => return Ok(None),
+        let socket = match source.socket() {
+            PoseSource::None | PoseSource::Match(_) => return Ok(None),
             PoseSource::Unix(path) => {
                 remove_left_over(path)?;
                 let socket = UnixDatagram::bind(path)

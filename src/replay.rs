@@ -97,6 +97,9 @@ fn settings(options: &ReplayOptions, source: &dyn input::Source) -> Result<Mappe
         // Where the input knows of a scanner that hangs head down, it has turned the bearings already.
         settings.mount = Mount { x, y, yaw, upside_down: false };
     }
+    if let Some(pose_use) = source.pose_use() {
+        settings.poses = pose_use;
+    }
     if let Some(kind) = options.mapper_kind {
         settings.mapper = kind;
     }

@@ -12,6 +12,7 @@ use super::frames::{Frames, isometry, name, yaw};
 use super::poses::Poses;
 use super::{InputError, InputOptions, InputReport, PoseSource, Sink, Source};
 use crate::cdr::{self, Message};
+use crate::mapper::PoseUse;
 use crate::pose::{Pose, StampedPose, pose};
 use crate::scan::{Geometry, Scan};
 
@@ -32,6 +33,8 @@ pub(super) struct Placement {
     note: String,
     mount: Option<Pose>,
     upside_down: bool,
+    /// What the poses are.
+    pose_use: PoseUse,
 }
 
 /// What a first pass over the files finds.
@@ -162,13 +165,13 @@ impl Survey {
                     poses: Poses::from_outside(outside.as_ref())?.unwrap_or(Poses::Fixed(Pose::identity())),
                     mount: options.mount.or(mount),
                     upside_down: upside_down.unwrap_or(false),
+                    pose_use: PoseUse::Map,
                 })
             }
-            None | Some(PoseSource::Recorded) => self.by_tf(laser, options).or_else(|by_tf| {
+            Some(PoseSource::Match { odometry }) => self.by_matching(laser, *odometry, options),
+            None | Some(PoseSource::Recorded) => self.by_tf(laser, options).or_else(|_| {
                 if self.odometry.is_empty() {
-                    return Err(InputError::NoPoses {
-                        what: format!("the bag has no poses: no odometry, and {by_tf}"),
-                    });
+                    return self.by_matching(laser, false, options);
                 }
                 self.by_odometry(laser, options)
             }),
@@ -180,7 +183,7 @@ impl Survey {
         let note = format!("poses of {} in {} by tf; scanner {}", way.base, way.fixed, name(laser));
         let poses = way.poses.map_or(Poses::Fixed(way.standing), Poses::known);
         let mount = Some(options.mount.unwrap_or(way.mount));
-        Ok(Placement { poses, note, mount, upside_down: way.upside_down })
+        Ok(Placement { poses, note, mount, upside_down: way.upside_down, pose_use: PoseUse::Map })
     }
 
     fn by_odometry(&self, laser: &str, options: &InputOptions) -> Result<Placement, InputError> {
@@ -202,7 +205,36 @@ impl Survey {
         };
         let upside_down = by_frames.is_some_and(|(_, upside_down)| upside_down);
         let note = format!("poses of {} by {topic}; scanner {}", name(&odometry.frame), name(laser));
-        Ok(Placement { poses: Poses::known(odometry.poses.clone()), note, mount: Some(mount), upside_down })
+        let poses = Poses::known(odometry.poses.clone());
+        Ok(Placement { poses, note, mount: Some(mount), upside_down, pose_use: PoseUse::Map })
+    }
+
+    /// Matching, guided by odometry where it is wanted and there: the topic, else the highest frame, which is odometry's
+    /// where no localizer ran.
+    fn by_matching(
+        &self,
+        laser: &str,
+        with_odometry: bool,
+        options: &InputOptions,
+    ) -> Result<Placement, InputError> {
+        let guide = match (with_odometry, self.odometry.is_empty()) {
+            (true, false) => Some(self.by_odometry(laser, options)?),
+            (true, true) => self.by_tf(laser, options).ok(),
+            (false, _) => None,
+        };
+        if let Some(guide) = guide {
+            let note = format!("scans are matched; odometry: {}", guide.note);
+            return Ok(Placement { note, pose_use: PoseUse::Odometry, ..guide });
+        }
+        let base = options.base_frame.as_deref().unwrap_or("base_link");
+        let (mount, upside_down) = self.frames.mount(laser, base).unzip();
+        Ok(Placement {
+            poses: Poses::None,
+            note: super::MATCHED.to_owned(),
+            mount: options.mount.or(mount),
+            upside_down: upside_down.unwrap_or(false),
+            pose_use: PoseUse::Odometry,
+        })
     }
 }
 
@@ -244,6 +276,10 @@ impl Source for Bag {
 
     fn recorded_mapper(&self) -> Option<&serde_json::Value> {
         None
+    }
+
+    fn pose_use(&self) -> Option<PoseUse> {
+        Some(self.placement.pose_use)
     }
 
     fn bytes(&self) -> u64 {

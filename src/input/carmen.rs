@@ -14,6 +14,7 @@ use std::path::PathBuf;
 use super::poses::Poses;
 use super::tum::nanoseconds;
 use super::{Damage, InputError, InputOptions, InputReport, PoseSource, Sink, Source, open_plain_or_gz};
+use crate::mapper;
 use crate::pose::{Pose, StampedPose, pose};
 use crate::scan::{Geometry, Scan};
 
@@ -57,6 +58,7 @@ pub struct Carmen {
     bytes: u64,
     mount: Option<Pose>,
     poses: PoseUse,
+    is_matched: bool,
 }
 
 /// What a line holds.
@@ -88,6 +90,8 @@ impl Carmen {
             Some(PoseSource::Tf) => {
                 return Err(InputError::NoPoses { what: "a Carmen log has no transforms".to_owned() });
             }
+            Some(PoseSource::Match { odometry: true }) => PoseUse::Odometry,
+            Some(PoseSource::Match { odometry: false }) => PoseUse::Outside(Poses::None),
             outside => match Poses::from_outside(outside.as_ref())? {
                 Some(poses) => PoseUse::Outside(poses),
                 None => PoseUse::Recorded,
@@ -96,7 +100,8 @@ impl Carmen {
         // Recorded poses are the scanner's own, whatever the robot is.
         let mount = if matches!(poses, PoseUse::Recorded) { Some(Pose::identity()) } else { options.mount };
         let bytes = report.bytes;
-        Ok(Self { files, bytes, mount, poses })
+        let is_matched = matches!(options.pose, Some(PoseSource::Match { .. }));
+        Ok(Self { files, bytes, mount, poses, is_matched })
     }
 }
 
@@ -107,6 +112,10 @@ impl Source for Carmen {
 
     fn recorded_mapper(&self) -> Option<&serde_json::Value> {
         None
+    }
+
+    fn pose_use(&self) -> Option<mapper::PoseUse> {
+        Some(if self.is_matched { mapper::PoseUse::Odometry } else { mapper::PoseUse::Map })
     }
 
     fn bytes(&self) -> u64 {

@@ -21,6 +21,7 @@ use std::path::{Path, PathBuf};
 use flate2::read::MultiGzDecoder;
 use serde::Serialize;
 
+use crate::mapper::PoseUse;
 use crate::pose::{Pose, StampedPose};
 use crate::scan::Scan;
 
@@ -175,6 +176,9 @@ pub trait Source {
     /// Settings of the mapper that made the recording.
     fn recorded_mapper(&self) -> Option<&serde_json::Value>;
 
+    /// What the poses are that it gives; `None`: what the settings of its mapper say.
+    fn pose_use(&self) -> Option<PoseUse>;
+
     /// Size of all files (bytes).
     fn bytes(&self) -> u64;
 
@@ -245,6 +249,9 @@ fn with_folders_expanded(files: &[PathBuf]) -> Result<Vec<PathBuf>, InputError> 
     }
     Ok(all)
 }
+
+/// Note for people where an input has no poses and none are given.
+const MATCHED: &str = "no poses: each scan is matched with those before";
 
 const CONVERT: &str = ". ROS 1 bags and ROS 2 bags in other containers can be converted to MCAP by rosbags-convert \
                        (PyPI rosbags)";

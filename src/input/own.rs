@@ -8,6 +8,7 @@ use super::container::{Entry, visit_all};
 use super::poses::Poses;
 use super::{InputError, InputOptions, InputReport, PoseSource, Sink, Source};
 use crate::cdr::{self, Message};
+use crate::mapper::PoseUse;
 use crate::pose::{Pose, StampedPose};
 use crate::record::{DEVICE, FileInfo, SESSION, topic};
 use crate::scan::Scan;
@@ -23,6 +24,7 @@ pub struct Recording {
     poses: RecordedPoses,
     /// Poses that were asked for in the place of the recorded ones.
     other_poses: Option<Poses>,
+    pose_use: Option<PoseUse>,
 }
 
 /// Poses with the number of scans that the mapper had taken before each.
@@ -87,11 +89,18 @@ impl Recording {
             });
         }
         let info = infos.into_iter().next().unwrap_or_default();
+        let mut pose_use = PoseSource::pose_use(options.pose.as_ref());
         let other_poses = match &options.pose {
-            None | Some(PoseSource::Recorded) if poses.poses.is_empty() => {
-                return Err(InputError::NoPoses { what: "the recording has no poses".to_owned() });
+            None | Some(PoseSource::Recorded) => {
+                if poses.poses.is_empty() {
+                    report.note(super::MATCHED);
+                    pose_use = Some(PoseUse::Odometry);
+                }
+                None
             }
-            None | Some(PoseSource::Recorded) => None,
+            // What a localizer told is as good a guide as odometry.
+            Some(PoseSource::Match { odometry: true }) => None,
+            Some(PoseSource::Match { odometry: false }) => Some(Poses::None),
             // Transforms and odometry carry wall time, the scans the monotonic clock.
             Some(PoseSource::Tf | PoseSource::Odom) => {
                 Some(Survey::of(&files, report)?.poses(options)?.poses.shifted(-info.wall_minus_monotonic_ns))
@@ -99,7 +108,7 @@ impl Recording {
             outside => Poses::from_outside(outside.as_ref())?.map(|poses| on_clock_of(poses, &info)),
         };
         let bytes = report.bytes;
-        Ok(Self { files, bytes, info, mount: options.mount, parameters, poses, other_poses })
+        Ok(Self { files, bytes, info, mount: options.mount, parameters, poses, other_poses, pose_use })
     }
 
     fn give_poses(&mut self, number: u64, scan: &Scan, sink: &mut dyn Sink, report: &mut InputReport) {
@@ -144,6 +153,10 @@ impl Source for Recording {
 
     fn recorded_mapper(&self) -> Option<&serde_json::Value> {
         Some(&self.info.info.mapper).filter(|value| !value.is_null())
+    }
+
+    fn pose_use(&self) -> Option<PoseUse> {
+        self.pose_use
     }
 
     fn bytes(&self) -> u64 {

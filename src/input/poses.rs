@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use super::{InputError, InputReport, Sink, tum};
+use crate::mapper::PoseUse;
 use crate::pose::{Pose, StampedPose, pose};
 use crate::scan::Scan;
 
@@ -20,6 +21,22 @@ pub enum PoseSource {
     File(PathBuf),
     /// The robot stood here.
     Fixed(Pose),
+    /// Scans are matched with the map; odometry guides where the input has some and it is wanted.
+    Match {
+        /// Whether the input's odometry is used.
+        odometry: bool,
+    },
+}
+
+impl PoseSource {
+    /// What the poses are that an input gives when it is asked for these; `None`: as the recording has it.
+    pub fn pose_use(source: Option<&Self>) -> Option<PoseUse> {
+        match source {
+            None | Some(Self::Recorded) => None,
+            Some(Self::Match { .. }) => Some(PoseUse::Odometry),
+            Some(_) => Some(PoseUse::Map),
+        }
+    }
 }
 
 impl FromStr for PoseSource {
@@ -30,6 +47,8 @@ impl FromStr for PoseSource {
             "recorded" => Ok(Self::Recorded),
             "tf" => Ok(Self::Tf),
             "odom" => Ok(Self::Odom),
+            "match" => Ok(Self::Match { odometry: true }),
+            "match-ranges" => Ok(Self::Match { odometry: false }),
             "fixed" => Ok(Self::Fixed(Pose::identity())),
             _ => match text.strip_prefix("fixed:") {
                 Some(numbers) => parse_pose(numbers).map(Self::Fixed),
@@ -59,6 +78,8 @@ pub(super) enum Poses {
     Known(Vec<StampedPose>, usize),
     /// The same for every scan.
     Fixed(Pose),
+    /// There are none.
+    None,
 }
 
 impl Poses {
@@ -99,6 +120,7 @@ impl Poses {
                     *given += 1;
                 }
             }
+            Self::None => {}
             Self::Fixed(pose) => {
                 let mut stamps = vec![scan.stamp_ns, scan.end_ns()];
                 stamps.dedup();
@@ -126,6 +148,8 @@ mod tests {
     fn sources_as_the_command_line_has_them() {
         assert_eq!("tf".parse(), Ok(PoseSource::Tf));
         assert_eq!("fixed".parse(), Ok(PoseSource::Fixed(Pose::identity())));
+        assert_eq!("match".parse(), Ok(PoseSource::Match { odometry: true }));
+        assert_eq!("match-ranges".parse(), Ok(PoseSource::Match { odometry: false }));
         assert_eq!("fixed:1,-2,0.5".parse(), Ok(PoseSource::Fixed(pose(1.0, -2.0, 0.5))));
         assert_eq!("drive.tum".parse(), Ok(PoseSource::File("drive.tum".into())));
         for bad in ["fixed:1,2", "fixed:1,2,x", "fixed:1,2,3,4", "fixed:1,2,inf"] {

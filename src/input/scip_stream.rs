@@ -4,7 +4,8 @@ use std::io::Read;
 use std::path::PathBuf;
 
 use super::poses::Poses;
-use super::{Damage, InputError, InputOptions, InputReport, Sink, Source, open_plain_or_gz};
+use super::{Damage, InputError, InputOptions, InputReport, PoseSource, Sink, Source, open_plain_or_gz};
+use crate::mapper::PoseUse;
 use crate::pose::Pose;
 use crate::scan::Scan;
 
@@ -54,6 +55,7 @@ pub struct ScipStream {
     mount: Option<Pose>,
     assumed: scip::Parameters,
     poses: Poses,
+    pose_use: PoseUse,
 }
 
 impl ScipStream {
@@ -73,10 +75,18 @@ impl ScipStream {
                     "nothing is known of a scanner {model:?}; known are UTM-30LX, URG-04LX, UST-10LX .."
                 ),
             })?;
-        let poses = Poses::from_outside(options.pose.as_ref())?
-            .ok_or_else(|| InputError::NoPoses { what: "a bare SCIP stream has no poses".to_owned() })?;
+        let (poses, pose_use) = match (Poses::from_outside(options.pose.as_ref())?, &options.pose) {
+            (Some(poses), _) => (poses, PoseUse::Map),
+            (None, None | Some(PoseSource::Match { .. })) => {
+                report.note(super::MATCHED);
+                (Poses::None, PoseUse::Odometry)
+            }
+            (None, Some(_)) => {
+                return Err(InputError::NoPoses { what: "a bare SCIP stream has no poses".to_owned() });
+            }
+        };
         let bytes = report.bytes;
-        Ok(Self { files, bytes, mount: options.mount, assumed, poses })
+        Ok(Self { files, bytes, mount: options.mount, assumed, poses, pose_use })
     }
 }
 
@@ -87,6 +97,10 @@ impl Source for ScipStream {
 
     fn recorded_mapper(&self) -> Option<&serde_json::Value> {
         None
+    }
+
+    fn pose_use(&self) -> Option<PoseUse> {
+        Some(self.pose_use)
     }
 
     fn bytes(&self) -> u64 {

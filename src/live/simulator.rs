@@ -33,15 +33,15 @@ impl Simulator {
         let mut options = SpawnOptions::from_url(world).map_err(|error| Failure::new(Exit::Usage, error))?;
         let mut folder = None;
         if sends_poses {
-            if config.pose.source == PoseSource::None {
+            if *config.pose.source.socket() == PoseSource::None {
                 let made = TempDir::with_prefix("visagged-")
                     .context("cannot make a folder for poses")
                     .map_err(io)?;
                 config.pose.source = PoseSource::Unix(made.path().join("pose"));
                 folder = Some(made);
             }
-            options.poses_to = match &config.pose.source {
-                PoseSource::None => None,
+            options.poses_to = match config.pose.source.socket() {
+                PoseSource::None | PoseSource::Match(_) => None,
                 PoseSource::Unix(path) => Some(PoseAddress::Unix(path.clone())),
                 PoseSource::Udp(address) => Some(PoseAddress::Udp(*address)),
             };

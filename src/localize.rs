@@ -1,0 +1,365 @@
+//! Finds out where the scanner is by laying each scan onto what was seen before, with wheel odometry as a guide where there
+//! is some.
+//!
+//! No clock, no files: a pure function of the order of its calls, like the mapper that it serves. Its matching maps are its
+//! own; they are not the map that is shown. Sources: Hess et al. 2016 (submaps, search by branch and bound), Olson
+//! 2009 (correlation), Censi 2008 (points against lines).
+
+pub mod matcher;
+pub mod motion;
+pub mod points;
+pub mod search;
+pub mod submap;
+
+use crate::{
+    pose::{Pose, interpolate},
+    scan::Scan,
+};
+use matcher::{Match, Prior, difference, refine};
+use motion::Motion;
+use nalgebra::Matrix3;
+use points::Points;
+use search::Window;
+use serde::{Deserialize, Serialize};
+use submap::Submap;
+
+/// Settings of the localization.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LocalizeSettings {
+    /// Distance between the points that are matched (m, 0.02..1). Default 0.08: long walls then do not outweigh what is rare.
+    pub spacing: f64,
+    /// Points that are matched at most (50..1081). Default 400.
+    pub points: usize,
+    /// Way between two scans that are added to the matching map (m, 0.02..1). Default 0.1.
+    pub key_way: f64,
+    /// Turn between them (rad, 0.01..1). Default 0.1.
+    pub key_turn: f64,
+    /// Way after which a new matching map is begun (m, 5..1000); each is used up to twice as long. Default 30.
+    pub submap_way: f64,
+    /// A match counts where surfaces explain at least this share of the points in known space (0.1..0.9). Default 0.45.
+    pub explained: f64,
+    /// Deviation of the place beyond which a scan is not inserted (m, 0.01..1). Default 0.15.
+    pub position_sigma: f64,
+    /// Deviation of the heading beyond which it is not (rad, 0.005..0.5). Default 0.03.
+    pub heading_sigma: f64,
+    /// Deviation of the place beyond which the scanner is lost (m, 0.1..10). Default 0.5.
+    pub lost_sigma: f64,
+}
+
+impl Default for LocalizeSettings {
+    fn default() -> Self {
+        Self {
+            spacing: 0.08,
+            points: 400,
+            key_way: 0.1,
+            key_turn: 0.1,
+            submap_way: 30.0,
+            explained: 0.45,
+            position_sigma: 0.15,
+            heading_sigma: 0.03,
+            lost_sigma: 0.5,
+        }
+    }
+}
+
+/// How well the place is known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Tracking {
+    /// No scan has come yet.
+    #[default]
+    Starting,
+    /// The last match was good.
+    Tracking,
+    /// It was not; the motion is taken to go on.
+    Degraded,
+    /// The place is not known; the map is searched.
+    Lost,
+}
+
+/// Why a scan's pose is not good enough for the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Doubt {
+    /// The scan does not fit the map.
+    Poor,
+    /// It fits in several ways.
+    Ambiguous,
+    /// The place is not known.
+    Lost,
+}
+
+/// Odometry of a scan: the robot at its first and last beam.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wheels {
+    /// base_link in the odometry's frame at the first beam.
+    pub start: Pose,
+    /// ... and at the last.
+    pub end: Pose,
+    /// Counts the jumps of the odometry.
+    pub reset: u32,
+}
+
+/// Where a scan was taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Located {
+    /// base_link in the map at the first beam.
+    pub start: Pose,
+    /// ... and at the last.
+    pub end: Pose,
+    /// Covariance xx, xy, xa, yy, ya, aa (m2, m rad, rad2), against the map near by.
+    pub covariance: [f64; 6],
+    /// Why it must not be inserted.
+    pub doubt: Option<Doubt>,
+}
+
+/// See the module.
+#[derive(Debug)]
+pub struct Localizer {
+    settings: LocalizeSettings,
+    /// The scanner on the robot.
+    mount: Pose,
+    motion: Option<Motion>,
+    tracking: Tracking,
+    /// Odometry at the middle of the last scan.
+    wheels: Option<(Pose, u32)>,
+    /// The map that is matched against, and the one that will follow it.
+    current: Submap,
+    following: Submap,
+    /// Way driven since `following` was begun, and since the last key scan (m).
+    submap_way: f64,
+    last_key: Option<Pose>,
+    points: Points,
+    /// Scans in a row without a good match.
+    bad: u32,
+    scans: u32,
+}
+
+/// First scans that are all added to the map, so that its beginning does not rest on the noise of one.
+const FIRST_KEYS: u32 = 10;
+
+impl Localizer {
+    /// A localizer with an empty map.
+    pub fn new(settings: LocalizeSettings, mount: Pose) -> Localizer {
+        Localizer {
+            settings,
+            mount,
+            motion: None,
+            tracking: Tracking::Starting,
+            wheels: None,
+            current: Submap::default(),
+            following: Submap::default(),
+            submap_way: 0.0,
+            last_key: None,
+            points: Points::default(),
+            bad: 0,
+            scans: 0,
+        }
+    }
+
+    /// How well the place is known.
+    pub fn tracking(&self) -> Tracking {
+        self.tracking
+    }
+
+    /// Memory that the matching maps hold (bytes).
+    pub fn bytes(&self) -> usize {
+        self.current.bytes() + self.following.bytes()
+    }
+
+    /// Locates a scan.
+    pub fn locate(&mut self, scan: &Scan, wheels: Option<Wheels>) -> Located {
+        self.scans += 1;
+        let middle_ns = scan.stamp_ns + (scan.end_ns() - scan.stamp_ns) / 2;
+        let sweep_s = (scan.end_ns() - scan.stamp_ns) as f64 * 1e-9;
+        let wheels_middle = wheels.map(|wheels| interpolate(&wheels.start, &wheels.end, 0.5));
+        let Some(mut motion) = self.motion.take() else {
+            let base = wheels_middle.unwrap_or_else(Pose::identity);
+            let motion = Motion::new(middle_ns, base * self.mount);
+            return self.begin(motion, scan, wheels, wheels_middle, sweep_s);
+        };
+        match (wheels_middle, wheels, self.wheels) {
+            (Some(now), Some(Wheels { reset, .. }), Some((before, reset_before)))
+                if reset == reset_before =>
+            {
+                let by = self.mount.inverse() * before.inverse() * now * self.mount;
+                motion.drive(middle_ns, &by);
+            }
+            _ => motion.coast(middle_ns),
+        }
+        self.wheels = wheels_middle.zip(wheels.map(|wheels| wheels.reset));
+        let [start, end] = self.within_scan(&motion, wheels, wheels_middle, sweep_s);
+        self.points.read(scan, start, end, self.settings.spacing, self.settings.points);
+        let doubt = self.follow(&mut motion);
+        self.finish(motion, start, end, doubt)
+    }
+
+    /// The first scan makes the map.
+    fn begin(
+        &mut self,
+        motion: Motion,
+        scan: &Scan,
+        wheels: Option<Wheels>,
+        wheels_middle: Option<Pose>,
+        sweep_s: f64,
+    ) -> Located {
+        self.wheels = wheels_middle.zip(wheels.map(|wheels| wheels.reset));
+        let [start, end] = self.within_scan(&motion, wheels, wheels_middle, sweep_s);
+        self.points.read(scan, start, end, self.settings.spacing, self.settings.points);
+        if self.points.thinned.len() < FEWEST {
+            // A map of nothing could never be matched: begin with a scan that shows something.
+            let located = self.finish_without(motion.pose, start, end);
+            self.motion = None;
+            return located;
+        }
+        self.tracking = Tracking::Tracking;
+        self.finish(motion, start, end, None)
+    }
+
+    /// The scanner at the first and last beam, in its own frame at the middle of the scan.
+    fn within_scan(
+        &self,
+        motion: &Motion,
+        wheels: Option<Wheels>,
+        middle: Option<Pose>,
+        sweep_s: f64,
+    ) -> [Pose; 2] {
+        match (wheels, middle) {
+            (Some(wheels), Some(middle)) => [wheels.start, wheels.end]
+                .map(|pose| self.mount.inverse() * middle.inverse() * pose * self.mount),
+            _ => [motion.ahead(-sweep_s / 2.0), motion.ahead(sweep_s / 2.0)],
+        }
+    }
+
+    /// Matches the points, and says what speaks against the result.
+    fn follow(&mut self, motion: &mut Motion) -> Option<Doubt> {
+        if self.tracking == Tracking::Lost {
+            return self.find_back(motion);
+        }
+        let points = &self.points.thinned;
+        if points.len() < FEWEST {
+            return self.miss(motion, Doubt::Poor);
+        }
+        let prior = motion.prior();
+        let mut found = refine(&self.current, points, &prior);
+        let [place, heading] = motion.sigmas();
+        if found.explained < GOOD || place > NARROW[0] || heading > NARROW[1] {
+            let window =
+                Window { reach: (3.0 * place).clamp(0.2, 1.0), turn: (3.0 * heading).clamp(0.1, 0.5) };
+            for candidate in search::around(&self.current, points, &prior.pose, window) {
+                let other = refine(&self.current, points, &free(candidate.pose));
+                if other.explained > found.explained + 0.05 {
+                    found = other;
+                }
+            }
+        }
+        if found.explained < self.settings.explained && found.known > 0.15 {
+            return self.miss(motion, Doubt::Poor);
+        }
+        motion.correct(&found);
+        self.bad = 0;
+        let [place, heading] = motion.sigmas();
+        if place > self.settings.lost_sigma {
+            self.tracking = Tracking::Lost;
+            return Some(Doubt::Lost);
+        }
+        if place > self.settings.position_sigma || heading > self.settings.heading_sigma {
+            self.tracking = Tracking::Degraded;
+            return Some(Doubt::Ambiguous);
+        }
+        self.tracking = Tracking::Tracking;
+        None
+    }
+
+    fn miss(&mut self, motion: &Motion, doubt: Doubt) -> Option<Doubt> {
+        self.bad += 1;
+        let [place, _] = motion.sigmas();
+        self.tracking = if place > self.settings.lost_sigma { Tracking::Lost } else { Tracking::Degraded };
+        Some(if self.tracking == Tracking::Lost { Doubt::Lost } else { doubt })
+    }
+
+    /// Searches all of the map.
+    fn find_back(&mut self, motion: &mut Motion) -> Option<Doubt> {
+        let points = &self.points.thinned;
+        self.bad += 1;
+        if points.len() < FEWEST || !self.bad.is_multiple_of(SEARCH_EVERY) {
+            return Some(Doubt::Lost);
+        }
+        let candidates = search::anywhere(&self.current, points, 0.3);
+        let mut matches: Vec<Match> =
+            candidates.iter().map(|candidate| refine(&self.current, points, &free(candidate.pose))).collect();
+        matches.sort_by(|a, b| b.explained.total_cmp(&a.explained));
+        let Some(best) = matches.first().copied() else { return Some(Doubt::Lost) };
+        let is_other = |found: &&Match| {
+            let off = difference(&found.pose, &best.pose);
+            off.xy().norm() > 0.5 || off.z.abs() > 0.3
+        };
+        let second = matches.iter().find(is_other).map_or(0.0, |found| found.explained * found.known);
+        if best.explained < FOUND || best.known < 0.6 || second > 0.8 * best.explained * best.known {
+            return Some(Doubt::Lost);
+        }
+        motion.jump(&best);
+        self.bad = 0;
+        self.tracking = Tracking::Degraded;
+        Some(Doubt::Ambiguous)
+    }
+
+    /// Notes the motion, adds the scan to the matching map where it is time to, and puts the result together.
+    fn finish(&mut self, motion: Motion, start: Pose, end: Pose, doubt: Option<Doubt>) -> Located {
+        let at = motion.pose;
+        let covariance = motion.pose_covariance();
+        if doubt.is_none() && self.is_key(&at) {
+            if let Some(last) = self.last_key {
+                self.submap_way += (at.translation.vector - last.translation.vector).norm();
+            }
+            self.last_key = Some(at);
+            if self.submap_way > self.settings.submap_way {
+                self.submap_way = 0.0;
+                self.current = std::mem::take(&mut self.following);
+            }
+            self.current.insert(&self.points, &at);
+            self.following.insert(&self.points, &at);
+        }
+        self.motion = Some(motion);
+        let c = |row: usize, column: usize| covariance[(row, column)];
+        Located {
+            covariance: [c(0, 0), c(0, 1), c(0, 2), c(1, 1), c(1, 2), c(2, 2)],
+            doubt,
+            ..self.finish_without(at, start, end)
+        }
+    }
+
+    fn finish_without(&self, at: Pose, start: Pose, end: Pose) -> Located {
+        let to_base = self.mount.inverse();
+        Located {
+            start: at * start * to_base,
+            end: at * end * to_base,
+            covariance: [0.0; 6],
+            doubt: Some(Doubt::Poor),
+        }
+    }
+
+    fn is_key(&self, at: &Pose) -> bool {
+        let Some(last) = self.last_key else { return true };
+        let off = difference(at, &last);
+        self.scans <= FIRST_KEYS
+            || off.xy().norm() >= self.settings.key_way
+            || off.z.abs() >= self.settings.key_turn
+    }
+}
+
+/// Fewer points than this show nothing.
+const FEWEST: usize = 20;
+/// Below this share of explained points a search looks whether there is a better place near by.
+const GOOD: f64 = 0.6;
+/// ... and where the place or the heading is less sure than this (m, rad): a refinement finds no farther.
+const NARROW: [f64; 2] = [0.06, 0.03];
+/// A place that a search finds is believed where this share of the points is explained.
+const FOUND: f64 = 0.7;
+/// While lost, one scan in this many is searched for.
+const SEARCH_EVERY: u32 = 10;
+
+/// Expects nothing: from a pose that a search has found.
+fn free(pose: Pose) -> Prior {
+    Prior { pose, information: Matrix3::zeros() }
+}
