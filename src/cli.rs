@@ -107,7 +107,7 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Write explain.png too: why each cell is shown (black solid, blue a surface visible near its normal, green seen
-    /// again) or not (sand too few returns, red somebody who moved, violet an image in a mirror or pane).
+    /// again, light blue in a gap) or not (sand too few returns, red somebody who moved, violet an image in a mirror or pane).
     #[arg(long)]
     pub explain: bool,
     /// Topic of the scans in a bag.

@@ -12,7 +12,7 @@ use super::{
     cell::Cell,
     reflection::{self, Image, Opacity},
     surface::{Line, Window},
-    tiles::TileIndex,
+    tiles::{CellIndex, TileIndex},
     visagge::Visagge,
 };
 
@@ -29,6 +29,8 @@ pub enum Verdict {
     Surface = 2,
     /// Shown: seen again from known angles after it had been missed.
     Repeated = 3,
+    /// Shown: few returns, or no surface by themselves, but in a gap of what is shown on both sides.
+    Bridged = 4,
     /// Not shown: too few returns.
     TooFew = 10,
     /// Not shown: missed, and part of no surface that could explain why. Somebody passed.
@@ -53,6 +55,9 @@ const LEAST_LENGTH: f32 = 0.4;
 /// through a patch is uncertain by some degrees.
 const NORMAL: f64 = 0.14;
 
+/// What is shown on both sides of a gap must begin within this many cells: a quarter of a metre, less than half a
+/// door or a person's width.
+const GAP: i32 = 5;
 /// What a beam has crossed before it was first seen has come, or is seen from some directions only. It is
 /// solid if it was seen over at least this range (rad), 10 degrees: a leg takes 0.3 s to cross a cell, and at 1 m/s a
 /// sensor 2 m away moves by 9 degrees meanwhile.
@@ -73,10 +78,49 @@ impl Visagge {
             .collect();
         touched.sort_unstable();
         touched.dedup();
-        for place in touched {
+        for &place in &touched {
             self.judge_tile(place);
         }
+        self.bridge_gaps(&touched);
         self.judge_images();
+    }
+
+    /// Shows cells in the gaps of what is shown. A pane is seen cell by cell, for a few scans each: where somebody stands in
+    /// between, or two cells share a return, single ones have too little to be a surface by themselves.
+    fn bridge_gaps(&mut self, places: &[TileIndex]) {
+        let mut bridged = Vec::new();
+        for &place in places {
+            let Some(number) = self.tiles.find(place) else { continue };
+            for cell in self.tiles.at(number).evidence.iter().flat_map(|evidence| &evidence.cells) {
+                if !cell.shape.is_shown() && self.is_in_gap(cell.index(place)) {
+                    bridged.push((number, cell.place));
+                }
+            }
+        }
+        // Afterwards, so that no cell is held by one that is bridged itself.
+        for (number, place) in bridged {
+            let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("the cell is in it");
+            evidence.shown[usize::from(place[1])] |= 1 << place[0];
+            evidence.cell_at_mut(place).expect("it was there").shape = Verdict::Bridged;
+        }
+    }
+
+    /// Whether two neighbouring cells that are shown lie near on both sides, along a row, a column or a diagonal.
+    fn is_in_gap(&self, index: CellIndex) -> bool {
+        [(1, 0), (0, 1), (1, 1), (1, -1)].into_iter().any(|(x, y)| {
+            [1, -1].into_iter().all(|side| {
+                let shown = |step: i32| {
+                    self.is_shown(CellIndex { x: index.x + x * side * step, y: index.y + y * side * step })
+                };
+                (1..GAP).any(|step| shown(step) && shown(step + 1))
+            })
+        })
+    }
+
+    fn is_shown(&self, index: CellIndex) -> bool {
+        let (place, column, row) = index.split();
+        let evidence = self.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
+        evidence.is_some_and(|evidence| evidence.shown[row] >> column & 1 == 1)
     }
 
     fn judge_images(&mut self) {

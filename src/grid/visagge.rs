@@ -133,6 +133,11 @@ impl Evidence {
         if mirrors { self.cells.get(slot()) } else { None }
     }
 
+    /// The cell in this column and row.
+    pub(super) fn cell_at_mut(&mut self, place: [u8; 2]) -> Option<&mut Cell> {
+        self.cells.get_mut(usize::from(self.slots[slot(place)]))
+    }
+
     /// Memory beside the tile itself (bytes).
     pub(super) fn bytes(&self) -> usize {
         size_of_val(&*self.slots) + self.cells.capacity() * size_of::<Cell>()

@@ -16,10 +16,11 @@ const SPECULAR: Colour = [0, 70, 255];
 const INK: Colour = [0, 0, 0];
 
 /// Colours of explain.png: strong where the cell is shown, pale where it is not.
-const VERDICTS: [(Verdict, Colour); 6] = [
+const VERDICTS: [(Verdict, Colour); 7] = [
     (Verdict::Solid, INK),
     (Verdict::Surface, [0, 70, 255]),
     (Verdict::Repeated, [0, 140, 60]),
+    (Verdict::Bridged, [0, 190, 220]),
     (Verdict::TooFew, [215, 215, 160]),
     (Verdict::NoSurface, [255, 150, 140]),
     (Verdict::Image, [240, 150, 240]),
