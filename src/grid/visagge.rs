@@ -337,11 +337,13 @@ impl Visagge {
 
     /// Marks the area that the scan has swept, up to just before its returns.
     fn record_free(&mut self, sweep: &Sweep) {
-        let base = CellIndex::of(self.view.middle()[0], self.view.middle()[1], self.resolution);
+        let [x, y] = self.view.middle();
+        let (base, ..) = CellIndex::of(x, y, self.resolution).split();
+        let corner = base.cell(0, 0);
         let local = |point: nalgebra::Point2<f64>| {
             (
-                (point.x / self.resolution - f64::from(base.x)) as f32,
-                (point.y / self.resolution - f64::from(base.y)) as f32,
+                (point.x / self.resolution - f64::from(corner.x)) as f32,
+                (point.y / self.resolution - f64::from(corner.y)) as f32,
             )
         };
         self.outline.clear();
@@ -357,18 +359,10 @@ impl Visagge {
             self.outline.push(x, y);
         }
         let tiles = &mut self.tiles;
-        let mut recent = (TileIndex { x: i32::MAX, y: i32::MAX }, 0);
-        self.outline.fill(|row, from, to| {
-            let y = base.y + row;
-            let (mut x, end) = (base.x + from, base.x + to);
-            while x < end {
-                let (place, column, row) = CellIndex { x, y }.split();
-                if recent.0 != place {
-                    recent = (place, tiles.find_or_make(place));
-                }
-                let count = (end - x).min(SIDE - column as i32);
-                tiles.at_mut(recent.1).free[row] |= (u64::MAX >> (SIDE - count)) << column;
-                x += count;
+        self.outline.fill(|x, y, inside| {
+            let number = tiles.find_or_make(TileIndex { x: base.x + x, y: base.y + y });
+            for (free, inside) in tiles.at_mut(number).free.iter_mut().zip(inside) {
+                *free |= inside;
             }
         });
     }
