@@ -37,7 +37,7 @@ fn main() {
     match arguments.as_slice() {
         [world, who] => {
             let laid = laid(world);
-            let times = contestant(who).expect("raywalk, visagge, maps or standard")(&laid);
+            let times = contestant(who).expect("raywalk, visagge, portable, maps or standard")(&laid);
             println!("{world} {who}: {} scans, median {:.1} us", laid.len(), quantile(&times, 0.5));
         }
         _ => ["hall", "office-loop"].iter().for_each(|world| compare(world)),
@@ -76,6 +76,10 @@ fn contestant(name: &str) -> Option<Contestant> {
             let mut grid = Visagge::new(RESOLUTION, VisaggeSettings::default());
             timed(laid, |_, sweep| grid.insert(sweep))
         },
+        "portable" => |laid| {
+            let mut grid = Visagge::new(RESOLUTION, VisaggeSettings::default());
+            timed(laid, |_, sweep| grid.insert_portably(sweep))
+        },
         "maps" => |laid| {
             let mut grid = Visagge::new(RESOLUTION, VisaggeSettings::default());
             let due = |number| number % MAP_EVERY == MAP_EVERY - 1;
@@ -110,10 +114,11 @@ fn compare(world: &str) {
     let rows = [
         ("bare ray walk", "raywalk", ROUNDS),
         ("visagge", "visagge", ROUNDS),
+        ("visagge, portable instructions", "portable", ROUNDS),
         ("visagge, each 200th scan with map", "maps", 1),
         ("standard grid", "standard", 1),
     ];
-    let mut best: [Vec<f64>; 4] = Default::default();
+    let mut best: [Vec<f64>; 5] = Default::default();
     for round in 0..ROUNDS {
         for ((_, who, rounds), best) in rows.iter().zip(&mut best) {
             if round < *rounds {

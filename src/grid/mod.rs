@@ -3,6 +3,7 @@
 pub mod angle;
 pub mod cell;
 pub mod free;
+mod lanes;
 mod reflection;
 mod single_pass;
 mod snapshot;
