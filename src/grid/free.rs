@@ -23,8 +23,8 @@ pub struct Outline {
     corners: Vec<[f32; 2]>,
     /// Cells from which on the rest of the row is on the other side of the outline.
     toggles: Vec<Rows>,
-    /// Which tiles of `toggles` have any.
-    touched: Vec<bool>,
+    /// For each corner, the first row whose cell centres are not below it.
+    rows: Vec<i32>,
 }
 
 impl Outline {
@@ -44,7 +44,6 @@ impl Outline {
         let Some(area) = Area::around(&self.corners) else { return };
         if self.toggles.len() < area.tiles() {
             self.toggles.resize(area.tiles(), NOTHING);
-            self.touched.resize(area.tiles(), false);
         }
         self.toggle(&area);
         for strip in 0..area.height {
@@ -54,7 +53,7 @@ impl Outline {
                 let tile = strip * area.width + column;
                 let rows = &mut self.toggles[tile];
                 let place = (area.low[0] + column as i32, area.low[1] + strip as i32);
-                if std::mem::take(&mut self.touched[tile]) {
+                if *rows != NOTHING {
                     sum_up(rows, &mut carry);
                     found(place.0, place.1, rows);
                     *rows = NOTHING;
@@ -68,26 +67,24 @@ impl Outline {
     /// Sets the toggles where edges cross the rows of cell centres.
     #[inline(always)]
     fn toggle(&mut self, area: &Area) {
-        let corner = [area.low[0] * SIDE, area.low[1] * SIDE];
-        let (columns, all_rows) = (area.width as i32 * SIDE, area.height as i32 * SIDE);
-        let Some(&(mut previous)) = self.corners.last() else { return };
-        for &corner_next in &self.corners {
-            let ([x0, y0], [x1, y1]) =
-                if previous[1] <= corner_next[1] { (previous, corner_next) } else { (corner_next, previous) };
-            previous = corner_next;
-            let rows = row_after(y0)..row_after(y1);
-            if rows.is_empty() {
+        self.rows.clear();
+        self.rows.extend(self.corners.iter().map(|corner| row_after(corner[1])));
+        let (left, columns) = (area.low[0] * SIDE, area.width as i32 * SIDE);
+        let first = area.low[1] * area.width as i32;
+        let mut previous = self.corners.last().copied().zip(self.rows.last().copied());
+        for (&corner, &row) in self.corners.iter().zip(&self.rows) {
+            let Some(([x, y], before)) = previous.replace((corner, row)) else { return };
+            if before == row {
                 continue;
             }
-            let slope = (x1 - x0) / (y1 - y0);
-            for row in rows {
-                let at = row_after(x0 + (row as f32 + 0.5 - y0) * slope);
+            let slope = (corner[0] - x) / (corner[1] - y);
+            for row in before.min(row)..before.max(row) {
                 // Rounding may leave the area by a cell.
-                let column = (at - corner[0]).clamp(0, columns - 1);
-                let row = (row - corner[1]).clamp(0, all_rows - 1);
-                let tile = (row >> 6) as usize * area.width + (column >> 6) as usize;
-                self.toggles[tile][(row & 63) as usize] ^= 1 << (column & 63);
-                self.touched[tile] = true;
+                let column = (row_after(x + (row as f32 + 0.5 - y) * slope) - left).clamp(0, columns - 1);
+                let tile = (row >> 6) * area.width as i32 - first + (column >> 6);
+                if let Some(rows) = self.toggles.get_mut(tile as usize) {
+                    rows[(row & 63) as usize] ^= 1 << (column & 63);
+                }
             }
         }
     }

@@ -59,6 +59,9 @@ const LEVELS: usize = 7;
 const AROUND: usize = 3;
 /// Beams to either side that are looked at there: two windows that share the beam in the middle.
 const AROUND_BEAMS: usize = (1 << AROUND) - 1;
+/// The same for the beams that cross a cell, of which there are fewer than of those that may do.
+const NARROW: usize = 2;
+const NARROW_BEAMS: usize = (1 << NARROW) - 1;
 /// Whatever differs by less is the same distance (m); rounding errors are far below.
 const HAIR: f32 = 0.001;
 
@@ -152,6 +155,25 @@ pub type Place = u16;
 /// See [`Place`].
 pub const HIT: Place = 1 << 15;
 
+/// A beam and those within [`AROUND_BEAMS`] to both sides; all less or more than true by a [`HAIR`], to be on the safe side.
+#[derive(Clone, Copy, Debug, Default)]
+struct Around {
+    /// What the beam itself returned (m), NaN without.
+    returned: f32,
+    /// How far it is itself known to be free (m).
+    itself_clear: f32,
+    /// The same if it had met nothing where it returned nothing.
+    itself_empty: f32,
+    /// All are known to be free up to here (m).
+    clear: f32,
+    /// The same if beams without return had met nothing however far.
+    empty: f32,
+    /// None of those within [`NARROW_BEAMS`] returned from beyond this (m).
+    peak: f32,
+    /// The same, and the beam itself says nothing beyond it.
+    hides: f32,
+}
+
 /// One scan, ready to be compared with cells.
 #[derive(Debug, Default)]
 pub struct View {
@@ -170,9 +192,10 @@ pub struct View {
     empty: [Vec<f32>; LEVELS + 1],
     /// `reach[level][k]`: how far any of these beams says something (m).
     reach: [Vec<f32>; LEVELS + 1],
-    /// For each beam, how far all beams around it are known to be free, and how far none of them says anything (m): nearly
-    /// all cells lie well before the one or behind the other.
-    around: Vec<[f32; 2]>,
+    /// `peak[level][k]`: the farthest return of the beams k..k+2^level (m), 0 without.
+    peak: [Vec<f32>; NARROW + 1],
+    /// What the beams around each beam have in common: nearly all cells lie well before or well behind it.
+    around: Vec<Around>,
     /// From this distance on, `around` covers all beams that matter to a cell (m).
     around_from: f32,
     farthest: f32,
@@ -219,27 +242,45 @@ impl View {
         double(&mut self.clear, lesser);
         double(&mut self.empty, lesser);
         double(&mut self.reach, greater);
+        self.peak[0].clone_from(&self.clear[0]);
+        double(&mut self.peak, greater);
         self.look_around(tolerance);
     }
 
     #[inline(always)]
     fn look_around(&mut self, tolerance: &Tolerance) {
-        // The beams within `around` less those within the heading's error, and the cell or what it may be beside.
-        let beams = AROUND_BEAMS as f32 - tolerance.heading as f32 * self.lens.beams_per_rad.abs();
-        let half = (tolerance.resolution / 2.0 + tolerance.across) as f32;
-        self.around_from = half * self.lens.beams_per_rad.abs() / beams;
+        // Of the beams within `around`, those that are not taken up by the heading's error.
+        let per_rad = self.lens.beams_per_rad.abs();
+        let beams = AROUND_BEAMS as f32 - tolerance.heading as f32 * per_rad;
+        let half_cell = tolerance.resolution as f32 / 2.0;
+        let from = (half_cell + tolerance.across as f32) * per_rad / beams;
+        self.around_from = from.max(half_cell * per_rad / NARROW_BEAMS as f32) + HAIR;
         self.around.clear();
         if self.count <= AROUND_BEAMS || beams <= 0.0 {
             self.around_from = f32::INFINITY;
-            self.around.resize(self.count, [0.0; 2]);
+            let beams = self.returned.iter().map(|&returned| Around { returned, ..Around::default() });
+            self.around.extend(beams);
             return;
         }
-        let (clear, reach) = (&self.clear[AROUND], &self.reach[AROUND]);
-        let last = self.count - 1 - AROUND_BEAMS;
+        let both = |table: &[f32], beam: usize, beams: usize| {
+            let last = table.len() - 1;
+            [table[beam.saturating_sub(beams).min(last)], table[beam.min(last)]]
+        };
+        let (clear, empty, peak) = (&self.clear[AROUND], &self.empty[AROUND], &self.peak[NARROW]);
         self.around.extend((0..self.count).map(|beam| {
-            let (low, high) = (beam.saturating_sub(AROUND_BEAMS), beam.min(last));
-            let low = low.min(last);
-            [lesser(clear[low], clear[high]), greater(reach[low], reach[high]) + HAIR]
+            let itself = self.empty[0][beam];
+            let [a, b] = both(clear, beam, AROUND_BEAMS);
+            let [c, d] = both(empty, beam, AROUND_BEAMS);
+            let [e, f] = both(peak, beam, NARROW_BEAMS);
+            Around {
+                returned: self.returned[beam],
+                itself_clear: self.clear[0][beam],
+                itself_empty: itself,
+                clear: lesser(a, b) - HAIR,
+                empty: lesser(c, d) - HAIR,
+                peak: greater(e, f) + HAIR,
+                hides: greater(itself, greater(e, f)) + HAIR,
+            }
         }));
     }
 
@@ -295,7 +336,7 @@ impl View {
         }
         let mut worth = 0;
         for (number, ((place, &range), &beam)) in places.iter().zip(&*ranges).zip(&*beams).enumerate() {
-            let hidden = range >= self.around_from && self.around[self.nearest(beam)][1] < range - along;
+            let hidden = range >= self.around_from && self.around[self.nearest(beam)].hides < range - along;
             // Written in any case, counted if it shall stay: a branch here would be guessed wrong every other time.
             sights.worth[worth] = number as u16;
             worth += usize::from(lens.sees(beam) & (!hidden | (place & HIT != 0)));
@@ -336,8 +377,25 @@ impl View {
     #[inline(always)]
     pub fn observe(&self, sight: &Sight, would_return: bool, tolerance: &Tolerance) -> Observation {
         let (range, along) = (sight.range, tolerance.along as f32);
-        if range >= self.around_from && self.around[self.nearest(sight.beam)][0] > range + along {
-            return Observation::Missed;
+        let around = &self.around[self.nearest(sight.beam)];
+        if (around.returned - range).abs() <= along {
+            return Observation::Seen;
+        }
+        if range >= self.around_from {
+            if around.clear > range + along {
+                return Observation::Missed;
+            }
+            if around.itself_clear < range - along {
+                // The nearest beam alone shows that the cell is not missed, and if it is not hidden it is silent or seen.
+                if would_return & (around.empty > range + along) {
+                    return Observation::Silent;
+                }
+                let silent = would_return & (around.itself_empty > range + along);
+                let seen = around.peak >= range - along;
+                if !silent & !seen {
+                    return Observation::Hidden;
+                }
+            }
         }
         self.observe_closely(sight, would_return, tolerance)
     }
@@ -351,6 +409,10 @@ impl View {
         tolerance: &Tolerance,
     ) -> Observation {
         let (range, along) = (sight.range, tolerance.along as f32);
+        let is_of_cell = |returned: &f32| (returned - range).abs() <= along;
+        if is_of_cell(&self.returned[self.nearest(sight.beam)]) {
+            return Observation::Seen;
+        }
         let half_cell = tolerance.resolution as f32 / 2.0;
         let half_wide = (half_cell + tolerance.across as f32) / range + tolerance.heading as f32;
         let wide = self.window(sight.beam, half_wide);
@@ -361,7 +423,7 @@ impl View {
             return Observation::Silent;
         }
         let window = self.window(sight.beam, half_cell / range);
-        if self.returned[window.0..window.1].iter().any(|returned| (returned - range).abs() <= along) {
+        if self.returned[window.0..window.1].iter().any(is_of_cell) {
             Observation::Seen
         } else if lookup(&self.clear, window, lesser) < range - along {
             Observation::Hidden
@@ -414,8 +476,8 @@ fn greater(a: f32, b: f32) -> f32 {
 
 /// Fills each level from the one before: a window of twice as many beams.
 #[inline(always)]
-fn double(table: &mut [Vec<f32>; LEVELS + 1], choose: impl Fn(f32, f32) -> f32) {
-    for level in 1..=LEVELS {
+fn double(table: &mut [Vec<f32>], choose: impl Fn(f32, f32) -> f32) {
+    for level in 1..table.len() {
         let (below, above) = table.split_at_mut(level);
         let (below, width) = (&below[level - 1], 1 << (level - 1));
         let shifted = below.get(width..).unwrap_or(&[]);
