@@ -77,10 +77,17 @@ impl Outline {
             if before == row {
                 continue;
             }
-            let slope = (corner[0] - x) / (corner[1] - y);
-            for row in before.min(row)..before.max(row) {
+            // In fixed point with 32 bits after it: a beam without return beside others makes edges over many rows.
+            let slope = f64::from(corner[0] - x) / f64::from(corner[1] - y);
+            let rows = before.min(row)..before.max(row);
+            let crossing = f64::from(x) + (f64::from(rows.start) + 0.5 - f64::from(y)) * slope - 0.5;
+            let step = (slope * ONE) as i64;
+            // Rounded up, as all rows and columns are.
+            let mut at = ((crossing * ONE) as i64).saturating_add(ONE as i64 - 1);
+            for row in rows {
                 // Rounding may leave the area by a cell.
-                let column = (row_after(x + (row as f32 + 0.5 - y) * slope) - left).clamp(0, columns - 1);
+                let column = ((at >> 32) as i32).wrapping_sub(left).clamp(0, columns - 1);
+                at = at.wrapping_add(step);
                 let tile = (row >> 6) * area.width as i32 - first + (column >> 6);
                 if let Some(rows) = self.toggles.get_mut(tile as usize) {
                     rows[(row & 63) as usize] ^= 1 << (column & 63);
@@ -89,6 +96,9 @@ impl Outline {
         }
     }
 }
+
+/// One cell in fixed point.
+const ONE: f64 = (1u64 << 32) as f64;
 
 /// Turns toggles into cells: each bit becomes the sum, modulo two, of the bits up to it, with what came before the tile.
 #[inline(always)]
