@@ -4,10 +4,11 @@
 //! Cells without evidence have no such state; one bit tells whether a beam has crossed them.
 
 use super::{
-    angle::{Angle, AngleRange},
+    angle::{Angle, AngleRange, atan2},
     surface::Line,
     tiles::{CellIndex, TileIndex},
     verdict::Verdict,
+    view::Observation,
 };
 
 /// How far apart, in the order of scans, two observations may be and still follow each other.
@@ -39,7 +40,7 @@ impl Rule {
     /// explain, the sensor having driven `way` between them (units of [`Angle`]).
     fn explained(&self, way: f32, range: f32) -> i32 {
         let error = (self.drift_least + self.drift_rate * way).min(self.drift_most);
-        (error.atan2(range) * (65_536.0 / std::f32::consts::TAU)) as i32
+        (atan2(error, range) * (65_536.0 / std::f32::consts::TAU)) as i32
     }
 }
 
@@ -115,9 +116,9 @@ pub struct Cell {
     pub visible: Visible,
     /// The widest such range apart from `visible`; empty where `way` is negative.
     pub visible_too: Visible,
-    /// The current run of observation, if the last look continued it.
+    /// The current run of observation, as of the last look.
     run: Option<Visible>,
-    /// phi_MISS: the range traversed since the cell was last observed or hidden.
+    /// phi_MISS: the range traversed since the cell was last observed or hidden, as of the last look.
     missed: Option<AngleRange>,
     /// Scans in a row that missed it.
     missed_scans: u8,
@@ -163,15 +164,29 @@ impl Cell {
     }
 
     /// Core step 1: a return at this place in the cell (cells, 0..1).
-    pub fn record_hit(&mut self, at: [f32; 2], look: &Look, rule: &Rule) {
-        if self.hit_scan != look.scan {
-            self.hit_scan = look.scan;
+    pub fn record_hit(&mut self, at: [f32; 2], scan: u32, rule: &Rule) {
+        if self.hit_scan != scan {
+            self.hit_scan = scan;
             self.occupancy = (self.occupancy + 1).min(rule.cap);
             self.hits = self.hits.saturating_add(1);
         }
         let weight = 1.0 / f32::from(self.hits.min(255));
         for (mean, at) in self.centroid.iter_mut().zip(at) {
             *mean += (at - *mean) * weight;
+        }
+    }
+
+    /// Core steps 2 to 4. Where something nearer returned, or the cell is outside of the field of view, there is nothing to
+    /// record: neither range goes on over that angle, since both are bound to the scan that looked last.
+    #[inline(always)]
+    pub fn record(&mut self, observation: Observation, look: &Look, rule: &Rule) {
+        match observation {
+            Observation::Seen => self.record_seen(look, rule),
+            Observation::Missed | Observation::Silent => {
+                self.record_missed(look, observation == Observation::Silent, rule);
+            }
+            Observation::Hidden => (),
+            Observation::Unsure => self.record_unsure(look),
         }
     }
 
@@ -186,7 +201,7 @@ impl Cell {
             _ => Visible::at(look),
         };
         self.missed_scans = 0;
-        if let Some(missed) = self.missed.take() {
+        if let Some(missed) = self.missed.take().filter(|_| self.follows(look)) {
             let again = self.visible.range.depth(AngleRange::at(look.angle), 2 * rule.half_beam) > 0;
             let moved_away = missed.width as i32 > rule.explained(look.way - self.visible.way, look.range);
             if again && moved_away {
@@ -245,12 +260,6 @@ impl Cell {
         contradicted
     }
 
-    /// Something nearer returned: nothing is learned, and neither range may go on over this angle.
-    pub fn record_hidden(&mut self) {
-        self.run = None;
-        self.missed = None;
-    }
-
     /// The scan could not tell. A run of observation may bridge this, what is missed may not: it must
     /// hold only angles from which the cell would have been seen.
     pub fn record_unsure(&mut self, look: &Look) {
@@ -307,7 +316,7 @@ mod tests {
                 (self.scan, self.way) = (self.scan + 1, self.way + 0.05);
                 let look = self.look(f64::from(degrees));
                 if seen.contains(&degrees) {
-                    self.cell.record_hit([0.5, 0.5], &look, &RULE);
+                    self.cell.record_hit([0.5, 0.5], look.scan, &RULE);
                     self.cell.record_seen(&look, &RULE);
                 } else {
                     contradictions += u32::from(self.cell.record_missed(&look, false, &RULE));
@@ -344,7 +353,7 @@ mod tests {
             drive.scan += 1;
             let look = drive.look(10.0);
             if seen {
-                drive.cell.record_hit([0.5, 0.5], &look, &RULE);
+                drive.cell.record_hit([0.5, 0.5], look.scan, &RULE);
                 drive.cell.record_seen(&look, &RULE);
             } else {
                 assert!(drive.cell.record_missed(&look, false, &RULE));
@@ -375,9 +384,7 @@ mod tests {
         for degrees in -30i32..30 {
             drive.scan += 1;
             let look = drive.look(f64::from(degrees));
-            if degrees.rem_euclid(2) == 0 {
-                drive.cell.record_hidden();
-            } else if !(-4..=6).contains(&degrees) {
+            if degrees.rem_euclid(2) != 0 && !(-4..=6).contains(&degrees) {
                 assert!(!drive.cell.record_missed(&look, false, &RULE));
             }
         }

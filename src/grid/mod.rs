@@ -3,6 +3,7 @@
 pub mod angle;
 pub mod cell;
 pub mod free;
+mod lanes;
 pub mod ray;
 mod reflection;
 mod single_pass;

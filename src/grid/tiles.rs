@@ -2,7 +2,10 @@
 //!
 //! A tile is made when something in it is first written. Nothing is ever allocated for the space between.
 
-use std::collections::HashMap;
+use std::{
+    collections::HashMap,
+    hash::{BuildHasherDefault, Hasher},
+};
 
 /// Cells along a tile's side. 64, so that a row of flags is one word.
 pub const SIDE: i32 = 64;
@@ -45,47 +48,81 @@ impl TileIndex {
     }
 }
 
+/// Hashes places by a multiplication for each number: they come from no adversary, and the standard
+/// library's hash costs as much as all else that is done to find a tile.
+#[derive(Clone, Copy, Debug, Default)]
+struct PlaceHasher(u64);
+
+impl Hasher for PlaceHasher {
+    fn write(&mut self, bytes: &[u8]) {
+        bytes.iter().for_each(|&byte| self.write_u32(byte.into()));
+    }
+
+    fn write_i32(&mut self, number: i32) {
+        self.write_u32(number as u32);
+    }
+
+    fn write_u32(&mut self, number: u32) {
+        // 2^64 over the golden ratio: neighbours land far apart.
+        self.0 = (self.0.rotate_left(32) ^ u64::from(number)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    }
+
+    fn finish(&self) -> u64 {
+        // The table takes its buckets from the low bits and its tags from the highest; both shall be mixed.
+        self.0 ^ self.0 >> 32
+    }
+}
+
 /// Tiles by place, kept in the order in which they were made.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Tiles<T> {
-    places: HashMap<TileIndex, u32>,
-    tiles: Vec<(TileIndex, T)>,
+    numbers: HashMap<TileIndex, u32, BuildHasherDefault<PlaceHasher>>,
+    /// Apart from the tiles, so that going through all places touches little memory.
+    places: Vec<TileIndex>,
+    tiles: Vec<T>,
+}
+
+impl<T> Default for Tiles<T> {
+    fn default() -> Self {
+        Tiles { numbers: HashMap::default(), places: Vec::new(), tiles: Vec::new() }
+    }
 }
 
 impl<T: Default> Tiles<T> {
     /// Number of the tile at this place, if there is one.
     pub fn find(&self, place: TileIndex) -> Option<usize> {
-        self.places.get(&place).map(|&number| number as usize)
+        self.numbers.get(&place).map(|&number| number as usize)
     }
 
     /// Number of the tile at this place; it is made where it was missing.
     pub fn find_or_make(&mut self, place: TileIndex) -> usize {
         let next = self.tiles.len() as u32;
-        let number = *self.places.entry(place).or_insert(next);
+        let number = *self.numbers.entry(place).or_insert(next);
         if number == next {
-            self.tiles.push((place, T::default()));
+            self.places.push(place);
+            self.tiles.push(T::default());
         }
         number as usize
     }
 
     /// The tile at this place.
     pub fn get(&self, place: TileIndex) -> Option<&T> {
-        self.find(place).map(|number| &self.tiles[number].1)
+        self.find(place).map(|number| &self.tiles[number])
     }
 
     /// The tile with this number.
     pub fn at(&self, number: usize) -> &T {
-        &self.tiles[number].1
+        &self.tiles[number]
     }
 
     /// The tile with this number.
     pub fn at_mut(&mut self, number: usize) -> &mut T {
-        &mut self.tiles[number].1
+        &mut self.tiles[number]
     }
 
     /// Place of the tile with this number.
     pub fn place(&self, number: usize) -> TileIndex {
-        self.tiles[number].0
+        self.places[number]
     }
 
     /// How many tiles there are.
@@ -100,13 +137,13 @@ impl<T: Default> Tiles<T> {
 
     /// All tiles with their places.
     pub fn iter(&self) -> impl Iterator<Item = (TileIndex, &T)> {
-        self.tiles.iter().map(|(place, tile)| (*place, tile))
+        self.places.iter().copied().zip(&self.tiles)
     }
 
     /// Lower left and upper right tile of the smallest rectangle that holds all.
     pub fn bounds(&self) -> Option<(TileIndex, TileIndex)> {
-        let (first, _) = self.tiles.first()?;
-        Some(self.tiles.iter().fold((*first, *first), |(low, high), (place, _)| {
+        let first = self.places.first()?;
+        Some(self.places.iter().fold((*first, *first), |(low, high), place| {
             (
                 TileIndex { x: low.x.min(place.x), y: low.y.min(place.y) },
                 TileIndex { x: high.x.max(place.x), y: high.y.max(place.y) },

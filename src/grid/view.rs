@@ -2,8 +2,16 @@
 //!
 //! No ray is walked. The scan is kept as a table from bearing to range, with the nearest return of every
 //! window of beams looked up in two steps, and a cell is compared with the beams that cross it.
+//!
+//! [`View::sight`] and [`View::observe`] say it of one cell. [`View::sights`] does the first for all cells
+//! of a tile, in a loop without branches, and leaves out those that are surely hidden.
 
-use super::{angle::Angle, sweep::Sweep};
+use super::{
+    angle::{Angle, atan2, nearest},
+    sweep::Sweep,
+    tiles::SIDE,
+};
+use nalgebra::{Point2, Vector2};
 
 /// What is known of the errors of ranges and poses, as far as it decides on a cell.
 #[derive(Clone, Copy, Debug)]
@@ -47,15 +55,135 @@ pub struct Sight {
 /// Widest window of beams for which tables are kept: 2^LEVELS. Wider ones, of cells nearer than some
 /// 10 cm, are cut to it.
 const LEVELS: usize = 7;
+/// Level of the tables from which [`View::around`] is made.
+const AROUND: usize = 3;
+/// Beams to either side that are looked at there: two windows that share the beam in the middle.
+const AROUND_BEAMS: usize = (1 << AROUND) - 1;
+/// The same for the beams that cross a cell, of which there are fewer than of those that may do.
+const NARROW: usize = 2;
+const NARROW_BEAMS: usize = (1 << NARROW) - 1;
+/// Whatever differs by less is the same distance (m); rounding errors are far below.
+const HAIR: f32 = 0.001;
+
+/// How a scan turns places into bearings and ranges, in numbers: small enough to stay in registers.
+#[derive(Clone, Copy, Debug, Default)]
+struct Lens {
+    first_bearing: f32,
+    beams_per_rad: f32,
+    /// The sensor's way from a beam to the next (m).
+    shift: [f32; 2],
+    /// Number of the last beam.
+    last: f32,
+    /// Beams of a full turn, and one over it.
+    turn: f32,
+    per_turn: f32,
+    /// In the middle of what the scanner does not see, where bearings are cut.
+    cut: f32,
+}
+
+impl Lens {
+    /// What stands at (dx, dy) from the sensor's place in the middle of the scan (m).
+    #[inline(always)]
+    fn sight(&self, dx: f32, dy: f32) -> Sight {
+        let range = (dx * dx + dy * dy).max(1e-6).sqrt();
+        let bearing = atan2(dy, dx);
+        let beam = self.wrap((bearing - self.first_bearing) * self.beams_per_rad);
+        // To the first order, how the sensor's place at that beam differs from the one in the middle.
+        let moved = beam.clamp(0.0, self.last) - self.last / 2.0;
+        let (ox, oy) = (self.shift[0] * moved, self.shift[1] * moved);
+        let inverse = 1.0 / range;
+        let turned = (dy * ox - dx * oy) * inverse * inverse;
+        Sight {
+            range: range - (dx * ox + dy * oy) * inverse,
+            beam: self.wrap(beam + turned * self.beams_per_rad),
+            angle: Angle::from_bearing(bearing + turned + std::f32::consts::PI),
+        }
+    }
+
+    #[inline(always)]
+    fn wrap(&self, beam: f32) -> f32 {
+        // The whole turns since the cut, rounded down.
+        beam - nearest((beam - self.cut) * self.per_turn - 0.5) * self.turn
+    }
+
+    /// Whether a beam passes there.
+    #[inline(always)]
+    fn sees(&self, beam: f32) -> bool {
+        beam > -0.5 && beam < self.last + 0.5
+    }
+}
+
+/// Cells of a tile as the sensor sees them.
+#[derive(Clone, Debug)]
+pub struct Sights {
+    range: Box<[f32; CELLS]>,
+    beam: Box<[f32; CELLS]>,
+    angle: Box<[Angle; CELLS]>,
+    /// Numbers of the cells that are worth a look.
+    worth: Box<[u16; CELLS]>,
+}
+
+const CELLS: usize = (SIDE * SIDE) as usize;
+
+impl Default for Sights {
+    fn default() -> Self {
+        Sights {
+            range: Box::new([0.0; CELLS]),
+            beam: Box::new([0.0; CELLS]),
+            angle: Box::new([Angle::default(); CELLS]),
+            worth: Box::new([0; CELLS]),
+        }
+    }
+}
+
+impl Sights {
+    /// The sight of a cell, by its number in the tile.
+    #[inline(always)]
+    pub fn at(&self, number: usize) -> Sight {
+        Sight { range: self.range[number], beam: self.beam[number], angle: self.angle[number] }
+    }
+
+    /// Number of the `n`th cell that is worth a look.
+    #[inline(always)]
+    pub fn worth(&self, n: usize) -> usize {
+        self.worth[n].into()
+    }
+}
+
+/// Place of a cell in its tile: 64 times its row, plus its column. The highest bit marks cells that were hit.
+pub type Place = u16;
+/// See [`Place`].
+pub const HIT: Place = 1 << 15;
+
+/// A beam and those within [`AROUND_BEAMS`] to both sides; all less or more than true by a [`HAIR`], to be on the safe side.
+#[derive(Clone, Copy, Debug, Default)]
+struct Around {
+    /// What the beam itself returned (m), NaN without.
+    returned: f32,
+    /// How far it is itself known to be free (m).
+    itself_clear: f32,
+    /// The same if it had met nothing where it returned nothing.
+    itself_empty: f32,
+    /// All are known to be free up to here (m).
+    clear: f32,
+    /// The same if beams without return had met nothing however far.
+    empty: f32,
+    /// None of those within [`NARROW_BEAMS`] returned from beyond this (m).
+    peak: f32,
+    /// The same, and the beam itself says nothing beyond it.
+    hides: f32,
+}
 
 /// One scan, ready to be compared with cells.
 #[derive(Debug, Default)]
 pub struct View {
     middle: [f64; 2],
-    first_bearing: f32,
-    beams_per_rad: f32,
-    shift: [f32; 2],
+    lens: Lens,
+    /// How far the sensor moved in the scan (m).
+    moved: f64,
     count: usize,
+    /// Origin and direction of each beam.
+    beams: Vec<(Point2<f64>, Vector2<f64>)>,
     /// Range of what returned (m), NaN where nothing did.
     returned: Vec<f32>,
     /// `clear[level][k]`: how far the beams k..k+2^level are all known to be free (m).
@@ -64,18 +192,35 @@ pub struct View {
     empty: [Vec<f32>; LEVELS + 1],
     /// `reach[level][k]`: how far any of these beams says something (m).
     reach: [Vec<f32>; LEVELS + 1],
+    /// `peak[level][k]`: the farthest return of the beams k..k+2^level (m), 0 without.
+    peak: [Vec<f32>; NARROW + 1],
+    /// What the beams around each beam have in common: nearly all cells lie well before or well behind it.
+    around: Vec<Around>,
+    /// From this distance on, `around` covers all beams that matter to a cell (m).
+    around_from: f32,
     farthest: f32,
 }
 
 impl View {
     /// Takes over a scan. `far` is the longest distance that counts as a measurement (m).
-    pub fn load(&mut self, sweep: &Sweep, far: f64) {
-        let shift = sweep.shift();
+    #[inline(always)]
+    pub fn load(&mut self, sweep: &Sweep, far: f64, tolerance: &Tolerance) {
         self.middle = [sweep.middle().x, sweep.middle().y];
-        self.first_bearing = sweep.first_bearing() as f32;
-        self.beams_per_rad = (1.0 / sweep.bearing_step()) as f32;
-        self.shift = [shift.x as f32, shift.y as f32];
         self.count = sweep.len();
+        self.moved = (sweep.end.translation.vector - sweep.start.translation.vector).norm();
+        let (shift, beams_per_rad) = (sweep.shift(), (1.0 / sweep.bearing_step()) as f32);
+        let turn = (std::f32::consts::TAU * beams_per_rad).abs();
+        self.lens = Lens {
+            first_bearing: sweep.first_bearing() as f32,
+            beams_per_rad,
+            shift: [shift.x as f32, shift.y as f32],
+            last: self.count as f32 - 1.0,
+            turn,
+            per_turn: 1.0 / turn,
+            cut: (self.count as f32 - turn) / 2.0,
+        };
+        self.beams.clear();
+        self.beams.extend(sweep.beams());
         self.returned.clear();
         self.clear[0].clear();
         self.empty[0].clear();
@@ -92,14 +237,56 @@ impl View {
             self.clear[0].push(clear);
             self.empty[0].push(empty);
         }
-        let (first, others) = self.reach.split_first_mut().expect("there is a level 0");
-        first.clone_from(&self.empty[0]);
-        self.farthest = first.iter().copied().fold(0.0, f32::max);
-        double(first, others, f32::max);
-        let (first, others) = self.clear.split_first_mut().expect("there is a level 0");
-        double(first, others, f32::min);
-        let (first, others) = self.empty.split_first_mut().expect("there is a level 0");
-        double(first, others, f32::min);
+        self.reach[0].clone_from(&self.empty[0]);
+        self.farthest = self.reach[0].iter().copied().fold(0.0, greater);
+        double(&mut self.clear, lesser);
+        double(&mut self.empty, lesser);
+        double(&mut self.reach, greater);
+        self.peak[0].clone_from(&self.clear[0]);
+        double(&mut self.peak, greater);
+        self.look_around(tolerance);
+    }
+
+    #[inline(always)]
+    fn look_around(&mut self, tolerance: &Tolerance) {
+        // Of the beams within `around`, those that are not taken up by the heading's error.
+        let per_rad = self.lens.beams_per_rad.abs();
+        let beams = AROUND_BEAMS as f32 - tolerance.heading as f32 * per_rad;
+        let half_cell = tolerance.resolution as f32 / 2.0;
+        let from = (half_cell + tolerance.across as f32) * per_rad / beams;
+        self.around_from = from.max(half_cell * per_rad / NARROW_BEAMS as f32) + HAIR;
+        self.around.clear();
+        if self.count <= AROUND_BEAMS || beams <= 0.0 {
+            self.around_from = f32::INFINITY;
+            let beams = self.returned.iter().map(|&returned| Around { returned, ..Around::default() });
+            self.around.extend(beams);
+            return;
+        }
+        let both = |table: &[f32], beam: usize, beams: usize| {
+            let last = table.len() - 1;
+            [table[beam.saturating_sub(beams).min(last)], table[beam.min(last)]]
+        };
+        let (clear, empty, peak) = (&self.clear[AROUND], &self.empty[AROUND], &self.peak[NARROW]);
+        self.around.extend((0..self.count).map(|beam| {
+            let itself = self.empty[0][beam];
+            let [a, b] = both(clear, beam, AROUND_BEAMS);
+            let [c, d] = both(empty, beam, AROUND_BEAMS);
+            let [e, f] = both(peak, beam, NARROW_BEAMS);
+            Around {
+                returned: self.returned[beam],
+                itself_clear: self.clear[0][beam],
+                itself_empty: itself,
+                clear: lesser(a, b) - HAIR,
+                empty: lesser(c, d) - HAIR,
+                peak: greater(e, f) + HAIR,
+                hides: greater(itself, greater(e, f)) + HAIR,
+            }
+        }));
+    }
+
+    /// Origin (m) and direction (unit vector) of every beam in the map's frame, in the scan's order.
+    pub fn beams(&self) -> &[(Point2<f64>, Vector2<f64>)] {
+        &self.beams
     }
 
     /// The longest distance of which the scan says something (m).
@@ -118,43 +305,127 @@ impl View {
         self.middle
     }
 
-    /// The point (m) as seen by the beam that passes nearest to it; `None` outside the field of view.
-    pub fn sight(&self, x: f64, y: f64) -> Option<Sight> {
-        let (dx, dy) = ((x - self.middle[0]) as f32, (y - self.middle[1]) as f32);
-        let square = (dx * dx + dy * dy).max(1e-6);
-        let bearing = dy.atan2(dx);
-        let beam = self.wrap((bearing - self.first_bearing) * self.beams_per_rad);
-        // To the first order, how the sensor's place at that beam differs from the one in the middle.
-        let moved = beam.clamp(0.0, self.count as f32 - 1.0) - (self.count as f32 - 1.0) / 2.0;
-        let (ox, oy) = (self.shift[0] * moved, self.shift[1] * moved);
-        let turned = (dy * ox - dx * oy) / square;
-        let range = square.sqrt();
-        let beam = self.wrap(beam + turned * self.beams_per_rad);
-        (beam > -0.5 && beam < self.count as f32 - 0.5).then(|| Sight {
-            range: range - (dx * ox + dy * oy) / range,
-            beam,
-            angle: Angle::from_rad(f64::from(bearing + turned) + std::f64::consts::PI),
-        })
+    /// What stands at (dx, dy) from [`View::middle`] (m), as seen by the beam that passes nearest to it; `None` outside the
+    /// field of view.
+    #[inline(always)]
+    pub fn sight(&self, dx: f32, dy: f32) -> Option<Sight> {
+        let sight = self.lens.sight(dx, dy);
+        self.lens.sees(sight.beam).then_some(sight)
+    }
+
+    /// The sights of the cells at these places of a tile, and how many of them are worth a look: hit, or within the field of
+    /// view and not surely hidden. `corner`: the middle of the tile's first cell, seen from [`View::middle`] (m).
+    #[inline(always)]
+    pub fn sights(
+        &self,
+        corner: [f32; 2],
+        places: &[Place],
+        tolerance: &Tolerance,
+        sights: &mut Sights,
+    ) -> usize {
+        let (lens, resolution, along) = (self.lens, tolerance.resolution as f32, tolerance.along as f32);
+        let count = places.len().min(CELLS);
+        let (ranges, beams) = (&mut sights.range[..count], &mut sights.beam[..count]);
+        let angles = &mut sights.angle[..count];
+        for (((place, range), beam), angle) in places.iter().zip(&mut *ranges).zip(&mut *beams).zip(angles) {
+            let sight = lens.sight(
+                corner[0] + f32::from(place & 63) * resolution,
+                corner[1] + f32::from(place >> 6 & 63) * resolution,
+            );
+            (*range, *beam, *angle) = (sight.range, sight.beam, sight.angle);
+        }
+        let mut worth = 0;
+        for (number, ((place, &range), &beam)) in places.iter().zip(&*ranges).zip(&*beams).enumerate() {
+            let hidden = range >= self.around_from && self.around[self.nearest(beam)].hides < range - along;
+            // Written in any case, counted if it shall stay: a branch here would be guessed wrong every other time.
+            sights.worth[worth] = number as u16;
+            worth += usize::from(lens.sees(beam) & (!hidden | (place & HIT != 0)));
+        }
+        worth
+    }
+
+    /// Whether the scan says nothing of any cell whose centre lies in the disc around (dx, dy) from [`View::middle`] (m).
+    #[inline(always)]
+    pub fn is_out_of_reach(&self, dx: f32, dy: f32, radius: f32, tolerance: &Tolerance) -> bool {
+        let (along, moved) = (tolerance.along as f32, self.moved as f32);
+        let square = dx * dx + dy * dy;
+        let beyond = self.farthest + along + radius + moved + HAIR;
+        if square > beyond * beyond {
+            return true;
+        }
+        let distance = square.sqrt();
+        let nearest = distance - radius - moved - HAIR;
+        if nearest <= radius {
+            return false;
+        }
+        // The disc's width, from above, and margins for the motion within the scan and for the heading.
+        let sine = radius / distance;
+        let half = sine + 0.571 * sine * sine * sine + moved / nearest + tolerance.heading as f32 + 0.02;
+        let beam = self.lens.sight(dx, dy).beam;
+        if self.lens.sees(beam) {
+            return self.reach_between(beam, half) + along < nearest;
+        }
+        // The gap between the last beam and the first one after a turn.
+        let (beam, half) =
+            (if beam < 0.0 { beam + self.lens.turn } else { beam }, half * self.lens.beams_per_rad.abs());
+        beam - half > self.lens.last + 1.0 && beam + half < self.lens.turn - 1.0
     }
 
     /// What the scan says of the cell with this sight (paper IV-B; the margins are in [`Tolerance`]).
     ///
     /// `would_return`: from this far, the cell is known to return something.
+    #[inline(always)]
     pub fn observe(&self, sight: &Sight, would_return: bool, tolerance: &Tolerance) -> Observation {
         let (range, along) = (sight.range, tolerance.along as f32);
+        let around = &self.around[self.nearest(sight.beam)];
+        if (around.returned - range).abs() <= along {
+            return Observation::Seen;
+        }
+        if range >= self.around_from {
+            if around.clear > range + along {
+                return Observation::Missed;
+            }
+            if around.itself_clear < range - along {
+                // The nearest beam alone shows that the cell is not missed, and if it is not hidden it is silent or seen.
+                if would_return & (around.empty > range + along) {
+                    return Observation::Silent;
+                }
+                let silent = would_return & (around.itself_empty > range + along);
+                let seen = around.peak >= range - along;
+                if !silent & !seen {
+                    return Observation::Hidden;
+                }
+            }
+        }
+        self.observe_closely(sight, would_return, tolerance)
+    }
+
+    /// The same without the shortcut.
+    #[inline(always)]
+    pub(super) fn observe_closely(
+        &self,
+        sight: &Sight,
+        would_return: bool,
+        tolerance: &Tolerance,
+    ) -> Observation {
+        let (range, along) = (sight.range, tolerance.along as f32);
+        let is_of_cell = |returned: &f32| (returned - range).abs() <= along;
+        if is_of_cell(&self.returned[self.nearest(sight.beam)]) {
+            return Observation::Seen;
+        }
         let half_cell = tolerance.resolution as f32 / 2.0;
         let half_wide = (half_cell + tolerance.across as f32) / range + tolerance.heading as f32;
         let wide = self.window(sight.beam, half_wide);
-        if lookup(&self.clear, wide, f32::min) > range + along {
+        if lookup(&self.clear, wide, lesser) > range + along {
             return Observation::Missed;
         }
-        if would_return && lookup(&self.empty, wide, f32::min) > range + along {
+        if would_return && lookup(&self.empty, wide, lesser) > range + along {
             return Observation::Silent;
         }
         let window = self.window(sight.beam, half_cell / range);
-        if self.returned[window.0..window.1].iter().any(|returned| (returned - range).abs() <= along) {
+        if self.returned[window.0..window.1].iter().any(is_of_cell) {
             Observation::Seen
-        } else if lookup(&self.clear, window, f32::min) < range - along {
+        } else if lookup(&self.clear, window, lesser) < range - along {
             Observation::Hidden
         } else {
             Observation::Unsure
@@ -167,43 +438,63 @@ impl View {
         if window.1 - window.0 > 1 << (LEVELS + 1) {
             self.farthest
         } else {
-            lookup(&self.reach, window, f32::max)
+            lookup(&self.reach, window, greater)
         }
     }
 
     /// The beams within `half` (rad) of a bearing: at least the nearest.
+    #[inline(always)]
     fn window(&self, beam: f32, half: f32) -> (usize, usize) {
-        let half = half * self.beams_per_rad.abs();
-        let last = self.count - 1;
-        let nearest = (beam.round().max(0.0) as usize).min(last);
-        let low = ((beam - half).ceil().max(0.0) as usize).min(nearest);
-        let high = ((beam + half).floor().max(0.0) as usize).clamp(nearest, last);
+        let half = half * self.lens.beams_per_rad.abs();
+        let nearest = self.nearest(beam);
+        // Rounded up and down by hand: without SSE4.1, `ceil` and `floor` are calls.
+        let from = (beam - half).max(0.0);
+        let low = from as i32 as usize;
+        let low = (low + usize::from((low as i32 as f32) < from)).min(nearest);
+        let high = ((beam + half).max(0.0) as i32 as usize).clamp(nearest, self.count - 1);
         (low, high + 1)
     }
 
-    fn wrap(&self, beam: f32) -> f32 {
-        let turn = (std::f32::consts::TAU * self.beams_per_rad).abs();
-        // The turn is cut in the middle of what the scanner does not see.
-        let low = (self.count as f32 - turn) / 2.0;
-        beam - ((beam - low) / turn).floor() * turn
+    /// The beam that passes nearest.
+    #[inline(always)]
+    fn nearest(&self, beam: f32) -> usize {
+        ((beam + 0.5).max(0.0) as i32 as usize).min(self.count - 1)
     }
 }
 
+/// `f32::min` of numbers that are numbers, in one instruction.
+#[inline(always)]
+fn lesser(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+/// `f32::max` of numbers that are numbers, in one instruction.
+#[inline(always)]
+fn greater(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
 /// Fills each level from the one before: a window of twice as many beams.
-fn double(first: &[f32], others: &mut [Vec<f32>], choose: fn(f32, f32) -> f32) {
-    let mut width = 1;
-    let mut below = first;
-    for level in others {
-        level.clear();
-        let pairs = below.iter().zip(below.get(width..).unwrap_or(&[]));
-        level.extend(pairs.map(|(&a, &b)| choose(a, b)));
-        width *= 2;
-        below = level;
+#[inline(always)]
+fn double(table: &mut [Vec<f32>], choose: impl Fn(f32, f32) -> f32) {
+    for level in 1..table.len() {
+        let (below, above) = table.split_at_mut(level);
+        let (below, width) = (&below[level - 1], 1 << (level - 1));
+        let shifted = below.get(width..).unwrap_or(&[]);
+        above[0].resize(shifted.len(), 0.0);
+        for ((chosen, &a), &b) in above[0].iter_mut().zip(below).zip(shifted) {
+            *chosen = choose(a, b);
+        }
     }
 }
 
 /// The chosen value over a window, by the two tabulated windows that cover it.
-fn lookup(table: &[Vec<f32>; LEVELS + 1], (low, high): (usize, usize), choose: fn(f32, f32) -> f32) -> f32 {
+#[inline(always)]
+fn lookup(
+    table: &[Vec<f32>; LEVELS + 1],
+    (low, high): (usize, usize),
+    choose: impl Fn(f32, f32) -> f32,
+) -> f32 {
     let level = ((high - low).ilog2() as usize).min(LEVELS);
     let width = 1 << level;
     choose(table[level][low], table[level][high - width])
@@ -221,11 +512,15 @@ mod tests {
     fn view(ranges: Vec<f32>) -> View {
         let scan = half_circle(0, ranges);
         let mut view = View::default();
-        view.load(&Sweep { scan: &scan, start: pose(0.0, 0.0, 0.0), end: pose(0.0, 0.0, 0.0) }, 30.0);
+        view.load(
+            &Sweep { scan: &scan, start: pose(0.0, 0.0, 0.0), end: pose(0.0, 0.0, 0.0) },
+            30.0,
+            &TOLERANCE,
+        );
         view
     }
 
-    fn observe(view: &View, x: f64, y: f64) -> Option<Observation> {
+    fn observe(view: &View, x: f32, y: f32) -> Option<Observation> {
         view.sight(x, y).map(|sight| view.observe(&sight, sight.range < 12.0, &TOLERANCE))
     }
 
@@ -267,10 +562,11 @@ mod tests {
         let scan = half_circle(0, vec![10.0; 181]);
         let sweep = Sweep { scan: &scan, start: pose(0.0, 0.0, 0.0), end: pose(0.04, 0.02, 0.05) };
         let mut view = View::default();
-        view.load(&sweep, 30.0);
+        view.load(&sweep, 30.0, &TOLERANCE);
         for (number, (origin, direction)) in sweep.beams().enumerate() {
             let point = origin + direction * 2.0;
-            let sight = view.sight(point.x, point.y).unwrap();
+            let [dx, dy] = [point.x - view.middle[0], point.y - view.middle[1]];
+            let sight = view.sight(dx as f32, dy as f32).unwrap();
             assert!((sight.beam - number as f32).abs() < 0.05, "{number}: {sight:?}");
             assert!((sight.range - 2.0).abs() < 0.001, "{number}: {sight:?}");
         }
@@ -284,8 +580,8 @@ mod tests {
             let beam = at * (count - 1) as f32;
             let (low, high) = view.window(beam, half);
             prop_assume!(high - low <= 1 << (LEVELS + 1));
-            let expected = ranges[low..high].iter().copied().fold(f32::MAX, f32::min);
-            prop_assert_eq!(lookup(&view.clear, (low, high), f32::min), expected);
+            let expected = ranges[low..high].iter().copied().fold(f32::MAX, lesser);
+            prop_assert_eq!(lookup(&view.clear, (low, high), lesser), expected);
             let expected = ranges[low..high].iter().copied().fold(0.0, f32::max);
             prop_assert_eq!(view.reach_between(beam, half), expected);
         }
@@ -295,7 +591,7 @@ mod tests {
             prop_assume!(x.hypot(y) > 0.2);
             let view = view(vec![10.0; 721]);
             let inside = y.atan2(x).abs() < FRAC_PI_2 + PI / 1440.0;
-            if let Some(sight) = view.sight(x, y) {
+            if let Some(sight) = view.sight(x as f32, y as f32) {
                 prop_assert!(inside);
                 prop_assert!((f64::from(sight.range) - x.hypot(y)).abs() < 1e-4);
                 prop_assert!(sight.angle.distance(Angle::from_rad((-y).atan2(-x))) <= 1);

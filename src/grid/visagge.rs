@@ -4,12 +4,13 @@
 //! are shown as occupied is decided in [`super::verdict`].
 
 use super::{
-    angle::units,
+    angle::{Angle, units},
     cell::{Cell, Look, Rule},
     free::Outline,
+    lanes,
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
-    view::{Observation, Tolerance, View},
+    view::{HIT, Observation, Place, Sights, Tolerance, View},
 };
 use serde::{Deserialize, Serialize};
 use std::f64::consts::SQRT_2;
@@ -93,6 +94,8 @@ const NONE: u16 = u16::MAX;
 pub(super) struct Evidence {
     slots: Box<[u16; (SIDE * SIDE) as usize]>,
     pub(super) cells: Vec<Cell>,
+    /// Where each of `cells` is, by itself: all that is needed to find those of which a scan says something.
+    places: Vec<Place>,
     /// A bit for each cell that is shown unless it is an image, a word a row.
     pub(super) shown: [u64; SIDE as usize],
     /// A bit for each of these that something may be seen through or in, a word a row.
@@ -108,6 +111,7 @@ impl Default for Evidence {
         Evidence {
             slots: Box::new([NONE; (SIDE * SIDE) as usize]),
             cells: Vec::new(),
+            places: Vec::new(),
             shown: [0; SIDE as usize],
             mirrors: [0; SIDE as usize],
             has_mirrors: false,
@@ -117,13 +121,19 @@ impl Default for Evidence {
 }
 
 impl Evidence {
-    fn cell_mut(&mut self, place: [u8; 2], make: impl FnOnce() -> Cell) -> &mut Cell {
-        let slot = &mut self.slots[slot(place)];
+    /// The cell at this place, made where it was missing, and marked as hit.
+    #[inline(always)]
+    fn hit(&mut self, place: [u8; 2], make: impl FnOnce() -> Cell) -> &mut Cell {
+        let number = slot(place);
+        let slot = &mut self.slots[number];
         if *slot == NONE {
             *slot = self.cells.len() as u16;
             self.cells.push(make());
+            self.places.push(number as Place);
         }
-        &mut self.cells[usize::from(*slot)]
+        let slot = usize::from(*slot);
+        self.places[slot] |= HIT;
+        &mut self.cells[slot]
     }
 
     /// The cell in this column and row, if something may be seen through it or in it.
@@ -140,7 +150,7 @@ impl Evidence {
 
     /// Memory beside the tile itself (bytes).
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(&*self.slots) + self.cells.capacity() * size_of::<Cell>()
+        size_of_val(&*self.slots) + self.cells.capacity() * (size_of::<Cell>() + size_of::<Place>())
     }
 
     fn retain(&mut self, keep: impl Fn(&Cell) -> bool) {
@@ -154,6 +164,7 @@ impl Evidence {
             self.shown[usize::from(cell.place[1])] &= !(1 << cell.place[0]);
             self.mirrors[usize::from(cell.place[1])] &= !(1 << cell.place[0]);
             self.cells.swap_remove(number);
+            self.places.swap_remove(number);
             if let Some(moved) = self.cells.get(number) {
                 self.slots[slot(moved.place)] = number as u16;
             }
@@ -164,6 +175,20 @@ impl Evidence {
 
 fn slot(place: [u8; 2]) -> usize {
     usize::from(place[1]) * SIDE as usize + usize::from(place[0])
+}
+
+/// The middle of a tile's first cell, seen from the sensor in the middle of the scan (m). Taken anew for each
+/// scan, so that `f32` is exact enough however far the map reaches.
+fn corner(place: TileIndex, view: &View, resolution: f64) -> [f32; 2] {
+    let [x, y] = view.middle();
+    let at = |index: i32| (f64::from(index) * f64::from(SIDE) + 0.5) * resolution;
+    [(at(place.x) - x) as f32, (at(place.y) - y) as f32]
+}
+
+/// Rounded down; without SSE4.1, `floor` is a call.
+fn floor(number: f64) -> i32 {
+    let whole = number as i32;
+    whole.saturating_sub(i32::from(f64::from(whole) > number))
 }
 
 /// One tile of the grid.
@@ -191,6 +216,7 @@ pub struct Visagge {
     tolerance: Tolerance,
     view: View,
     outline: Outline,
+    sights: Sights,
     /// Number of the last scan: one more for the next, two more where scans were lost in between.
     scan: u32,
     seq: Option<u64>,
@@ -209,6 +235,7 @@ impl Visagge {
             as_in_the_paper: false,
             view: View::default(),
             outline: Outline::default(),
+            sights: Sights::default(),
             scan: 0,
             seq: None,
             way: 0.0,
@@ -225,21 +252,38 @@ impl Visagge {
 
     /// Inserts one scan: VISAGGE CORE of the paper.
     pub fn insert(&mut self, sweep: &Sweep) {
+        lanes::insert(self, sweep);
+    }
+
+    /// The same in instructions that every processor of the kind has, and with the same map, bit by bit: for comparison.
+    pub fn insert_portably(&mut self, sweep: &Sweep) {
+        lanes::insert_anywhere(self, sweep);
+    }
+
+    /// Inserts one scan, in the instructions of the function that this becomes a part of.
+    #[inline(always)]
+    pub(super) fn insert_here(&mut self, sweep: &Sweep) {
         if sweep.is_empty() {
             return;
         }
         self.begin(sweep);
-        let mut rule = self.settings.rule(sweep.bearing_step().abs());
-        if self.as_in_the_paper {
-            rule = Rule { drift_least: rule.drift_most, silent_scans: 1, ..rule };
-        }
+        let rule = self.rule(sweep);
         self.record_hits(sweep, &rule);
         self.record_observations(&rule);
-        self.record_free(sweep);
+        self.record_free();
         self.free_body();
     }
 
+    fn rule(&self, sweep: &Sweep) -> Rule {
+        let rule = self.settings.rule(sweep.bearing_step().abs());
+        if self.as_in_the_paper {
+            return Rule { drift_least: rule.drift_most, silent_scans: 1, ..rule };
+        }
+        rule
+    }
+
     /// Counts the scan and the way; a gap in the sequence ends all runs.
+    #[inline(always)]
     fn begin(&mut self, sweep: &Sweep) {
         let follows = self.seq.is_none_or(|last| last + 1 == sweep.scan.seq);
         self.scan += if follows { 1 } else { 2 };
@@ -249,76 +293,67 @@ impl Visagge {
             self.way += (middle[0] - before[0]).hypot(middle[1] - before[1]) as f32;
         }
         self.middle = Some(middle);
-        self.view.load(sweep, self.settings.range_max);
-    }
-
-    fn look(&self, angle: super::angle::Angle, range: f32) -> Look {
-        Look { scan: self.scan, angle, range, way: self.way }
+        self.view.load(sweep, self.settings.range_max, &self.tolerance);
     }
 
     /// Core step 1: where a return lands, the cell is more likely to be occupied.
+    #[inline(always)]
     fn record_hits(&mut self, sweep: &Sweep, rule: &Rule) {
-        for ((origin, direction), &range) in sweep.beams().zip(&sweep.scan.ranges) {
-            let range = f64::from(range);
-            if !(range > 0.0 && range <= self.settings.range_max) {
+        let Visagge { tiles, view, .. } = self;
+        let per_cell = 1.0 / self.resolution;
+        let mut recent = (TileIndex { x: i32::MAX, y: i32::MAX }, 0);
+        for (&(origin, direction), &range) in view.beams().iter().zip(&sweep.scan.ranges) {
+            if !(range > 0.0 && f64::from(range) <= self.settings.range_max) {
                 continue;
             }
-            let point = origin + direction * range;
-            let index = CellIndex::of(point.x, point.y, self.resolution);
+            let point = (origin + direction * f64::from(range)) * per_cell;
+            let index = CellIndex { x: floor(point.x), y: floor(point.y) };
             let (place, column, row) = index.split();
-            let angle = super::angle::Angle::from_rad((-direction.y).atan2(-direction.x));
-            let look = self.look(angle, range as f32);
-            let number = self.tiles.find_or_make(place);
-            let tile = self.tiles.at_mut(number);
+            if recent.0 != place {
+                recent = (place, tiles.find_or_make(place));
+            }
+            let tile = tiles.at_mut(recent.1);
             let crossed = tile.free[row] >> column & 1 == 1;
             let evidence = tile.evidence.get_or_insert_default();
             evidence.changed = true;
-            let at = [
-                (point.x / self.resolution - f64::from(index.x)) as f32,
-                (point.y / self.resolution - f64::from(index.y)) as f32,
-            ];
+            let at = [(point.x - f64::from(index.x)) as f32, (point.y - f64::from(index.y)) as f32];
             let place = [column as u8, row as u8];
-            evidence.cell_mut(place, || Cell::new(place, crossed, &look)).record_hit(at, &look, rule);
+            let mut look = Look { scan: self.scan, angle: Default::default(), range, way: self.way };
+            let cell = evidence.hit(place, || {
+                look.angle = Angle::from_rad((-direction.y).atan2(-direction.x));
+                Cell::new(place, crossed, &look)
+            });
+            cell.record_hit(at, self.scan, rule);
         }
     }
 
-    /// Core steps 2 to 5 for every cell with evidence that the scan says something of.
+    /// Core steps 2 to 5 for every cell with evidence that the scan says something of: of no other is anything touched but
+    /// its place.
+    #[inline(always)]
     fn record_observations(&mut self, rule: &Rule) {
-        let half_tile = f64::from(SIDE) * self.resolution / 2.0;
-        for number in 0..self.tiles.len() {
-            if self.tiles.at(number).evidence.is_none() {
+        let Visagge { tiles, view, tolerance, sights, .. } = self;
+        let half_tile = (f64::from(SIDE - 1) * self.resolution / 2.0) as f32;
+        let radius = half_tile * std::f32::consts::SQRT_2;
+        let before = Look { scan: self.scan, angle: Default::default(), range: 0.0, way: self.way };
+        for number in 0..tiles.len() {
+            let corner = corner(tiles.place(number), view, self.resolution);
+            if view.is_out_of_reach(corner[0] + half_tile, corner[1] + half_tile, radius, tolerance) {
                 continue;
             }
-            let place = self.tiles.place(number);
-            let centre = |index: i32| (f64::from(index * SIDE) * self.resolution) + half_tile;
-            if self.out_of_reach([centre(place.x), centre(place.y)], half_tile * SQRT_2) {
-                continue;
-            }
-            let look = Look { scan: self.scan, angle: Default::default(), range: 0.0, way: self.way };
-            let (view, tolerance, resolution) = (&self.view, &self.tolerance, self.resolution);
-            let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("tested above");
+            let Some(evidence) = &mut tiles.at_mut(number).evidence else { continue };
             let mut removed = false;
-            for cell in &mut evidence.cells {
-                let index = cell.index(place);
-                let at = |index: i32| (f64::from(index) + 0.5) * resolution;
-                let Some(sight) = view.sight(at(index.x), at(index.y)) else {
-                    cell.record_hidden();
-                    continue;
+            let worth = view.sights(corner, &evidence.places, tolerance, sights);
+            for number in (0..worth).map(|n| sights.worth(n)) {
+                evidence.places[number] &= !HIT;
+                let (cell, sight) = (&mut evidence.cells[number], sights.at(number));
+                let look = Look { angle: sight.angle, range: sight.range, ..before };
+                let observation = if cell.hit_scan == look.scan {
+                    Observation::Seen
+                } else {
+                    view.observe(&sight, cell.would_return(sight.range), tolerance)
                 };
-                let look = Look { angle: sight.angle, range: sight.range, ..look };
-                if cell.hit_scan == look.scan {
-                    cell.record_seen(&look, rule);
-                    continue;
-                }
-                match view.observe(&sight, cell.would_return(sight.range), tolerance) {
-                    Observation::Seen => cell.record_seen(&look, rule),
-                    observed @ (Observation::Missed | Observation::Silent) => {
-                        cell.record_missed(&look, observed == Observation::Silent, rule);
-                        removed |= cell.occupancy == 0;
-                    }
-                    Observation::Hidden => cell.record_hidden(),
-                    Observation::Unsure => cell.record_unsure(&look),
-                }
+                cell.record(observation, &look, rule);
+                removed |= cell.occupancy == 0;
             }
             if removed {
                 evidence.retain(|cell| cell.occupancy > 0);
@@ -326,66 +361,41 @@ impl Visagge {
         }
     }
 
-    /// Whether the scan says nothing of any cell in the disc. What is not looked at in a scan ends its runs by itself: they
-    /// are bound to the number of the scan.
-    fn out_of_reach(&self, centre: [f64; 2], radius: f64) -> bool {
-        let distance = (centre[0] - self.view.middle()[0]).hypot(centre[1] - self.view.middle()[1]);
-        let nearest = distance - radius;
-        if nearest > f64::from(self.view.farthest()) + self.tolerance.along {
-            return true;
-        }
-        if nearest <= radius {
-            return false;
-        }
-        // The disc's width, and a margin for the motion within the scan and for the heading.
-        let half = (radius / distance).asin() + self.tolerance.heading + 0.02;
-        match self.view.sight(centre[0], centre[1]) {
-            Some(sight) => {
-                f64::from(self.view.reach_between(sight.beam, half as f32)) + self.tolerance.along < nearest
-            }
-            None => false,
-        }
-    }
-
     /// Marks the area that the scan has swept, up to just before its returns.
-    fn record_free(&mut self, sweep: &Sweep) {
-        let base = CellIndex::of(self.view.middle()[0], self.view.middle()[1], self.resolution);
+    #[inline(always)]
+    fn record_free(&mut self) {
+        let [x, y] = self.view.middle();
+        let (base, ..) = CellIndex::of(x, y, self.resolution).split();
+        let corner = base.cell(0, 0);
+        let per_cell = 1.0 / self.resolution;
         let local = |point: nalgebra::Point2<f64>| {
             (
-                (point.x / self.resolution - f64::from(base.x)) as f32,
-                (point.y / self.resolution - f64::from(base.y)) as f32,
+                (point.x * per_cell - f64::from(corner.x)) as f32,
+                (point.y * per_cell - f64::from(corner.y)) as f32,
             )
         };
         self.outline.clear();
-        for ((origin, direction), clear) in
-            sweep.beams().zip(self.view.free_ranges(self.settings.no_return_range as f32))
-        {
+        let silent = self.settings.no_return_range as f32;
+        for (&(origin, direction), clear) in self.view.beams().iter().zip(self.view.free_ranges(silent)) {
             let free = (f64::from(clear) - self.tolerance.along).max(0.0);
             let (x, y) = local(origin + direction * free);
             self.outline.push(x, y);
         }
-        for end in [&sweep.end, &sweep.start] {
-            let (x, y) = local(end.translation.vector.into());
+        let ends = [self.view.beams().last(), self.view.beams().first()];
+        for (x, y) in ends.into_iter().flatten().map(|&(origin, _)| local(origin)) {
             self.outline.push(x, y);
         }
         let tiles = &mut self.tiles;
-        let mut recent = (TileIndex { x: i32::MAX, y: i32::MAX }, 0);
-        self.outline.fill(|row, from, to| {
-            let y = base.y + row;
-            let (mut x, end) = (base.x + from, base.x + to);
-            while x < end {
-                let (place, column, row) = CellIndex { x, y }.split();
-                if recent.0 != place {
-                    recent = (place, tiles.find_or_make(place));
-                }
-                let count = (end - x).min(SIDE - column as i32);
-                tiles.at_mut(recent.1).free[row] |= (u64::MAX >> (SIDE - count)) << column;
-                x += count;
+        self.outline.fill(|x, y, inside| {
+            let number = tiles.find_or_make(TileIndex { x: base.x + x, y: base.y + y });
+            for (free, inside) in tiles.at_mut(number).free.iter_mut().zip(inside) {
+                *free |= inside;
             }
         });
     }
 
     /// Where the robot itself is, nothing else can be.
+    #[inline(always)]
     fn free_body(&mut self) {
         let radius = self.settings.body_radius;
         let [x, y] = self.view.middle();
@@ -403,7 +413,10 @@ impl Visagge {
             if let Some(number) = self.tiles.find(place)
                 && let Some(evidence) = &mut self.tiles.at_mut(number).evidence
             {
-                evidence.retain(|cell| !within(place, cell));
+                // Nearly always nothing is there.
+                if evidence.cells.iter().any(|cell| within(place, cell)) {
+                    evidence.retain(|cell| !within(place, cell));
+                }
             }
         }
     }
@@ -417,5 +430,103 @@ impl Visagge {
                 })
             })
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{grid::sweep::tests::half_circle, pose::pose, scan::Scan};
+    use proptest::prelude::*;
+
+    impl Visagge {
+        /// What the fast paths must do, cell by cell: no tile is left out, nothing is known to be hidden or missed before it
+        /// is looked at closely.
+        fn insert_plainly(&mut self, sweep: &Sweep) {
+            self.begin(sweep);
+            let rule = self.rule(sweep);
+            self.record_hits(sweep, &rule);
+            for number in 0..self.tiles.len() {
+                let corner = corner(self.tiles.place(number), &self.view, self.resolution);
+                let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
+                for cell in &mut evidence.cells {
+                    let at =
+                        |axis: usize| corner[axis] + f32::from(cell.place[axis]) * self.resolution as f32;
+                    let Some(sight) = self.view.sight(at(0), at(1)) else { continue };
+                    let look =
+                        Look { scan: self.scan, angle: sight.angle, range: sight.range, way: self.way };
+                    let would_return = cell.would_return(sight.range);
+                    let observation = if cell.hit_scan == self.scan {
+                        Observation::Seen
+                    } else {
+                        self.view.observe_closely(&sight, would_return, &self.tolerance)
+                    };
+                    cell.record(observation, &look, &rule);
+                }
+                evidence.retain(|cell| cell.occupancy > 0);
+            }
+            self.record_free();
+            self.free_body();
+        }
+    }
+
+    /// Ranges as of walls, people and glass: long stretches that step, with holes.
+    fn ranges() -> impl Strategy<Value = Vec<f32>> {
+        let stretch =
+            (prop_oneof![1 => Just(f32::INFINITY), 1 => Just(f32::NAN), 12 => 0.1f32..12.0], 1usize..60);
+        proptest::collection::vec((stretch, -0.02f32..0.02), 5..30).prop_map(|stretches| {
+            let mut ranges: Vec<f32> = Vec::new();
+            for ((range, count), slope) in stretches {
+                ranges.extend((0..count).map(|beam| range + slope * beam as f32));
+            }
+            ranges.resize(ranges.len().max(10), 4.0);
+            ranges
+        })
+    }
+
+    fn moves() -> impl Strategy<Value = [f64; 3]> {
+        [-0.2..0.2, -0.2..0.2, -0.3..0.3]
+    }
+
+    fn contents(grid: &Visagge) -> Vec<(TileIndex, [u64; SIDE as usize], Vec<Cell>)> {
+        let cells =
+            |tile: &Tile| tile.evidence.as_ref().map(|evidence| evidence.cells.clone()).unwrap_or_default();
+        grid.tiles.iter().map(|(place, tile)| (place, tile.free, cells(tile))).collect()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(60))]
+        #[test]
+        fn all_paths_make_the_same_map(
+            scans in proptest::collection::vec((ranges(), 1usize..6, moves()), 1..8),
+            first in [-20.0..20.0, -20.0..20.0, -3.0..3.0],
+            clockwise: bool,
+        ) {
+            let mut grids = [0; 3].map(|_| Visagge::new(0.05, VisaggeSettings::default()));
+            let mut at = pose(first[0], first[1], first[2]);
+            let mut seq = 0;
+            for (ranges, times, [x, y, turn]) in scans {
+                for _ in 0..times {
+                    let mut scan: Scan = half_circle(seq, ranges.clone());
+                    if clockwise {
+                        scan.geometry.angle_min *= -1.0;
+                        scan.geometry.angle_increment *= -1.0;
+                    }
+                    let end = at * pose(x / 10.0, y / 10.0, turn / 10.0);
+                    let sweep = Sweep { scan: &scan, start: at, end };
+                    grids[0].insert_plainly(&sweep);
+                    grids[1].insert_portably(&sweep);
+                    grids[2].insert(&sweep);
+                    at = end;
+                    seq += 1;
+                }
+                at *= pose(x, y, turn);
+                seq += u64::from(turn > 0.2);
+            }
+            let plain = contents(&grids[0]);
+            prop_assert!(plain == contents(&grids[1]), "portable");
+            prop_assert!(plain == contents(&grids[2]), "widest");
+            prop_assert!(plain.iter().any(|(.., cells)| cells.len() > 1) || seq < 20);
+        }
     }
 }

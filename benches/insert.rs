@@ -1,0 +1,224 @@
+//! What inserting a scan costs, beside a bare ray walk over the same scans in the same run.
+//!
+//! `cargo bench --bench insert` drives the 20 m hall and the 120 x 60 m office floor. The machine may be noisy: what
+//! counts is the last column, how many times faster than the ray walk. Each scan is measured by itself, in CPU time of
+//! the thread; the rounds alternate between the contestants, and each scan counts with its fastest round.
+//!
+//! `cargo bench --bench insert -- WORLD visagge` runs one contestant over one world, once: for a profiler
+//! (`tools/instructions` counts with it).
+
+#[expect(dead_code, reason = "the truth is for the marks")]
+#[path = "../tools/eval/src/drive.rs"]
+mod drive;
+
+use drive::Drive;
+use nalgebra::Point2;
+use rustix::time::{ClockId, clock_gettime};
+use scipsim::{SimulationOptions, World};
+use std::hint::black_box;
+use visagged::{
+    grid::{
+        standard::Standard,
+        sweep::Sweep,
+        visagge::{Visagge, VisaggeSettings},
+    },
+    pose::{Pose, PoseBuffer},
+    scan::Scan,
+};
+
+/// Side of a cell (m), as in the paper.
+const RESOLUTION: f64 = 0.05;
+const ROUNDS: usize = 3;
+/// Scans between two maps: five seconds.
+const MAP_EVERY: usize = 200;
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
+    match arguments.as_slice() {
+        [world, who] => {
+            let laid = laid(world);
+            let times = contestant(who).expect("raywalk, visagge, portable, maps or standard")(&laid);
+            println!("{world} {who}: {} scans, median {:.1} us", laid.len(), quantile(&times, 0.5));
+        }
+        _ => ["hall", "office-loop"].iter().for_each(|world| compare(world)),
+    }
+}
+
+/// A scan and the poses of the scanner at its first and last beam.
+type Laid = (Scan, Pose, Pose);
+
+/// The scans of a simulated drive.
+fn laid(world: &str) -> Vec<Laid> {
+    let world = World::load(world).expect("a shipped world");
+    let options = SimulationOptions::default();
+    let drive = Drive::new(String::new(), &world, options, 1);
+    let mut poses = PoseBuffer::default();
+    for pose in drive.poses {
+        poses.push(pose);
+    }
+    let mount = drive.mount.pose();
+    let at = |stamp_ns| poses.at(stamp_ns, 250_000_000).ok().map(|pose| pose * mount);
+    let laid =
+        |scan: Scan| Some((at(scan.stamp_ns)?, at(scan.end_ns())?)).map(|(start, end)| (scan, start, end));
+    drive.scans.into_iter().filter_map(laid).collect()
+}
+
+/// Takes the scans one by one and gives the CPU time of each (us).
+type Contestant = fn(&[Laid]) -> Vec<f64>;
+
+fn contestant(name: &str) -> Option<Contestant> {
+    Some(match name {
+        "raywalk" => |laid| {
+            let mut walk = RayWalk::around(laid);
+            timed(laid, |_, sweep| walk.insert(sweep))
+        },
+        "visagge" => |laid| {
+            let mut grid = Visagge::new(RESOLUTION, VisaggeSettings::default());
+            timed(laid, |_, sweep| grid.insert(sweep))
+        },
+        "portable" => |laid| {
+            let mut grid = Visagge::new(RESOLUTION, VisaggeSettings::default());
+            timed(laid, |_, sweep| grid.insert_portably(sweep))
+        },
+        "maps" => |laid| {
+            let mut grid = Visagge::new(RESOLUTION, VisaggeSettings::default());
+            let due = |number| number % MAP_EVERY == MAP_EVERY - 1;
+            let times = timed(laid, |number, sweep| {
+                grid.insert(sweep);
+                if due(number) {
+                    black_box(grid.map());
+                }
+            });
+            times.into_iter().enumerate().filter(|&(number, _)| due(number)).map(|(_, time)| time).collect()
+        },
+        "standard" => |laid| {
+            let mut grid = Standard::new(RESOLUTION, 30.0);
+            timed(laid, |_, sweep| grid.insert(sweep))
+        },
+        _ => return None,
+    })
+}
+
+fn timed(laid: &[Laid], mut insert: impl FnMut(usize, &Sweep)) -> Vec<f64> {
+    let time = |(number, (scan, start, end)): (usize, &Laid)| {
+        let sweep = Sweep { scan, start: *start, end: *end };
+        let before = cpu_us();
+        insert(number, &sweep);
+        cpu_us() - before
+    };
+    laid.iter().enumerate().map(time).collect()
+}
+
+fn compare(world: &str) {
+    let laid = laid(world);
+    let rows = [
+        ("bare ray walk", "raywalk", ROUNDS),
+        ("visagge", "visagge", ROUNDS),
+        ("visagge, portable instructions", "portable", ROUNDS),
+        ("visagge, each 200th scan with map", "maps", 1),
+        ("standard grid", "standard", 1),
+    ];
+    let mut best: [Vec<f64>; 5] = Default::default();
+    for round in 0..ROUNDS {
+        for ((_, who, rounds), best) in rows.iter().zip(&mut best) {
+            if round < *rounds {
+                let times = contestant(who).expect("named above")(&laid);
+                if best.is_empty() {
+                    *best = times;
+                } else {
+                    best.iter_mut().zip(times).for_each(|(best, time)| *best = best.min(time));
+                }
+            }
+        }
+    }
+    let walk = quantile(&best[0], 0.5);
+    println!("{world}: {} scans, {} cell visits a scan by ray walk", laid.len(), visits(&laid));
+    println!(
+        "{:34} {:>9} {:>9} {:>9} {:>9} {:>14}",
+        "", "median us", "p99 us", "max us", "p99/median", "times ray walk"
+    );
+    for ((name, ..), times) in rows.iter().zip(&best) {
+        let (median, p99) = (quantile(times, 0.5), quantile(times, 0.99));
+        let most = quantile(times, 1.0);
+        println!("{name:34} {median:9.1} {p99:9.1} {most:9.1} {:10.2} {:14.2}", p99 / median, walk / median);
+    }
+    println!();
+}
+
+fn visits(laid: &[Laid]) -> usize {
+    let mut walk = RayWalk::around(laid);
+    for (scan, start, end) in laid {
+        walk.insert(&Sweep { scan, start: *start, end: *end });
+    }
+    walk.visits / laid.len().max(1)
+}
+
+fn quantile(times: &[f64], part: f64) -> f64 {
+    let mut sorted = times.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[((sorted.len() - 1) as f64 * part) as usize]
+}
+
+/// CPU time of this thread (us).
+fn cpu_us() -> f64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 * 1e6 + time.tv_nsec as f64 / 1e3
+}
+
+/// The least that a grid with rays can do: 16.16 fixed point, one cell a step, one byte added in each.
+/// The grid is dense, made large enough beforehand, and knows nothing but that one number.
+struct RayWalk {
+    cells: Vec<i8>,
+    /// Rows are 2^this cells apart.
+    shift: u32,
+    origin: Point2<f64>,
+    visits: usize,
+}
+
+impl RayWalk {
+    /// A grid that holds all the scans.
+    fn around(laid: &[Laid]) -> RayWalk {
+        let (mut low, mut high) = (Point2::new(f64::MAX, f64::MAX), Point2::new(f64::MIN, f64::MIN));
+        for (scan, start, end) in laid {
+            let sweep = Sweep { scan, start: *start, end: *end };
+            for ((origin, direction), range) in sweep.beams().zip(&scan.ranges) {
+                let (_, range) = reach(*range);
+                for point in [origin, origin + direction * range] {
+                    (low, high) = (low.inf(&point), high.sup(&point));
+                }
+            }
+        }
+        let cells = |length: f64| (length / RESOLUTION) as usize + 3;
+        let shift = cells(high.x - low.x).next_power_of_two().ilog2();
+        let margin = nalgebra::Vector2::new(RESOLUTION, RESOLUTION);
+        RayWalk { cells: vec![0; cells(high.y - low.y) << shift], shift, origin: low - margin, visits: 0 }
+    }
+
+    fn insert(&mut self, sweep: &Sweep) {
+        let scale = 65_536.0 / RESOLUTION;
+        for ((origin, direction), &range) in sweep.beams().zip(&sweep.scan.ranges) {
+            let (returned, range) = reach(range);
+            let (from, way) = ((origin - self.origin) * scale, direction * (range * scale));
+            let steps = (way.x.abs().max(way.y.abs()) / 65_536.0) as usize;
+            let (mut x, mut y) = (from.x as i32, from.y as i32);
+            let step = way / steps.max(1) as f64;
+            let (dx, dy) = (step.x as i32, step.y as i32);
+            for _ in 0..steps {
+                let cell = &mut self.cells[((y >> 16 << self.shift) + (x >> 16)) as usize];
+                *cell = cell.saturating_sub(1);
+                (x, y) = (x + dx, y + dy);
+            }
+            if returned {
+                let cell = &mut self.cells[((y >> 16 << self.shift) + (x >> 16)) as usize];
+                *cell = cell.saturating_add(3);
+            }
+            self.visits += steps;
+        }
+    }
+}
+
+/// Whether there is a return, and how far the beam is free (m): the same limits as in the grid.
+fn reach(range: f32) -> (bool, f64) {
+    let range = f64::from(range);
+    if range > 0.0 && range <= 30.0 { (true, range) } else { (false, if range > 30.0 { 5.0 } else { 0.0 }) }
+}
