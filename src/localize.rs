@@ -132,6 +132,8 @@ pub struct Localizer {
     /// Maps that were matched against before, oldest first, at most [`KEPT`]: for when the place is lost.
     former: Vec<Submap>,
     points: Points,
+    /// Scans that have to fit before one is inserted again, after one that did not.
+    probation: u32,
     /// Share of the points that is usually explained.
     usual: f64,
     /// Time of the last good match (ns).
@@ -160,6 +162,7 @@ impl Localizer {
             last_key: None,
             former: Vec::new(),
             points: Points::default(),
+            probation: 0,
             usual: 0.0,
             good_ns: i64::MIN,
             searching: 0,
@@ -263,15 +266,27 @@ impl Localizer {
                 }
             }
         }
-        let least = self.settings.explained.max(USUAL_PART * self.usual);
-        if found.known > SEEN_BEFORE && found.explained < least || !motion.allows(&found.pose) {
+        let fits = if self.probation > 0 {
+            found.known >= AGAIN_KNOWN && found.explained >= AGAIN_PART * self.usual
+        } else {
+            let least = self.settings.explained.max(USUAL_PART * self.usual);
+            found.known <= SEEN_BEFORE || found.explained >= least
+        };
+        if !fits || !motion.allows(&found.pose) {
             return self.miss(motion, Doubt::Poor);
         }
         motion.correct(&found);
         self.good_ns = motion.stamp_ns;
-        self.usual += (found.explained - self.usual) * USUAL_MEMORY;
+        if self.probation == 0 {
+            self.usual += (found.explained - self.usual) * USUAL_MEMORY;
+        }
         let [place, heading] = motion.sigmas().map(|sigma| sigma * CAUTION);
         if place > self.settings.position_sigma || heading > self.settings.heading_sigma {
+            self.tracking = Tracking::Degraded;
+            return Some(Doubt::Ambiguous);
+        }
+        self.probation = self.probation.saturating_sub(1);
+        if self.probation > 0 {
             self.tracking = Tracking::Degraded;
             return Some(Doubt::Ambiguous);
         }
@@ -281,6 +296,7 @@ impl Localizer {
 
     /// The scan does not fit: the motion is believed for a while.
     fn miss(&mut self, motion: &Motion, doubt: Doubt) -> Option<Doubt> {
+        self.probation = PROBATION;
         let [place, _] = motion.sigmas();
         let is_lost =
             place > self.settings.lost_sigma || motion.stamp_ns.saturating_sub(self.good_ns) > BELIEVED_NS;
@@ -378,6 +394,13 @@ const SEEN_BEFORE: f64 = 0.15;
 /// A scan that explains less than this part of the usual does not fit: people before the scanner cover much of what it sees,
 /// but at even spacing few of the points are theirs.
 const USUAL_PART: f64 = 0.7;
+/// After a scan that did not fit the next ones have to fit nearly as well as usual (part of it), most of what they show
+/// known (share), for so many scans: half a second at 40 Hz.
+const AGAIN_PART: f64 = 0.9;
+/// See [`AGAIN_PART`].
+const AGAIN_KNOWN: f64 = 0.6;
+/// See [`AGAIN_PART`].
+const PROBATION: u32 = 20;
 /// Weight of one scan in what is usual: some two seconds at 40 Hz.
 const USUAL_MEMORY: f64 = 0.02;
 /// A search looks as well where the place or the heading is less sure than this (m, rad): a refinement finds no farther.
