@@ -43,7 +43,7 @@ pub struct LocalizeSettings {
     pub position_sigma: f64,
     /// Deviation of the heading beyond which it is not (rad, 0.005..0.5). Default 0.03.
     pub heading_sigma: f64,
-    /// Deviation of the place beyond which the scanner is lost (m, 0.1..10). Default 0.5.
+    /// Deviation of the place beyond which a scanner whose scans do not fit is lost (m, 0.1..10). Default 0.5.
     pub lost_sigma: f64,
 }
 
@@ -129,9 +129,18 @@ pub struct Localizer {
     /// Way driven since `following` was begun, and since the last key scan (m).
     submap_way: f64,
     last_key: Option<Pose>,
+    /// Maps that were matched against before, oldest first, at most [`KEPT`]: for when the place is lost.
+    former: Vec<Submap>,
     points: Points,
-    /// Scans in a row without a good match.
-    bad: u32,
+    /// Scans that have to fit before one is inserted again, after one that did not.
+    probation: u32,
+    /// Share of the points that is usually explained.
+    usual: f64,
+    /// Time of the last good match (ns).
+    good_ns: i64,
+    /// Scans since the place was lost, and the map that was searched last.
+    searching: u32,
+    searched: usize,
     scans: u32,
 }
 
@@ -151,8 +160,13 @@ impl Localizer {
             following: Submap::default(),
             submap_way: 0.0,
             last_key: None,
+            former: Vec::new(),
             points: Points::default(),
-            bad: 0,
+            probation: 0,
+            usual: 0.0,
+            good_ns: i64::MIN,
+            searching: 0,
+            searched: 0,
             scans: 0,
         }
     }
@@ -164,7 +178,7 @@ impl Localizer {
 
     /// Memory that the matching maps hold (bytes).
     pub fn bytes(&self) -> usize {
-        self.current.bytes() + self.following.bytes()
+        [&self.current, &self.following].into_iter().chain(&self.former).map(Submap::bytes).sum()
     }
 
     /// Locates a scan.
@@ -208,11 +222,10 @@ impl Localizer {
         self.points.read(scan, start, end, self.settings.spacing, self.settings.points);
         if self.points.thinned.len() < FEWEST {
             // A map of nothing could never be matched: begin with a scan that shows something.
-            let located = self.finish_without(motion.pose, start, end);
-            self.motion = None;
-            return located;
+            return self.finish_without(motion.pose, start, end);
         }
         self.tracking = Tracking::Tracking;
+        self.good_ns = motion.stamp_ns;
         self.finish(motion, start, end, None)
     }
 
@@ -248,22 +261,32 @@ impl Localizer {
                 Window { reach: (3.0 * place).clamp(0.2, 1.0), turn: (3.0 * heading).clamp(0.1, 0.5) };
             for candidate in search::around(&self.current, points, &prior.pose, window) {
                 let other = refine(&self.current, points, &free(candidate.pose));
-                if other.explained > found.explained + 0.05 {
+                if other.explained > found.explained + BETTER && motion.allows(&other.pose) {
                     found = other;
                 }
             }
         }
-        if found.explained < self.settings.explained && found.known > 0.15 {
+        let fits = if self.probation > 0 {
+            found.known >= AGAIN_KNOWN && found.explained >= AGAIN_PART * self.usual
+        } else {
+            let least = self.settings.explained.max(USUAL_PART * self.usual);
+            found.known <= SEEN_BEFORE || found.explained >= least
+        };
+        if !fits || !motion.allows(&found.pose) {
             return self.miss(motion, Doubt::Poor);
         }
         motion.correct(&found);
-        self.bad = 0;
-        let [place, heading] = motion.sigmas();
-        if place > self.settings.lost_sigma {
-            self.tracking = Tracking::Lost;
-            return Some(Doubt::Lost);
+        self.good_ns = motion.stamp_ns;
+        if self.probation == 0 {
+            self.usual += (found.explained - self.usual) * USUAL_MEMORY;
         }
+        let [place, heading] = motion.sigmas().map(|sigma| sigma * CAUTION);
         if place > self.settings.position_sigma || heading > self.settings.heading_sigma {
+            self.tracking = Tracking::Degraded;
+            return Some(Doubt::Ambiguous);
+        }
+        self.probation = self.probation.saturating_sub(1);
+        if self.probation > 0 {
             self.tracking = Tracking::Degraded;
             return Some(Doubt::Ambiguous);
         }
@@ -271,37 +294,47 @@ impl Localizer {
         None
     }
 
+    /// The scan does not fit: the motion is believed for a while.
     fn miss(&mut self, motion: &Motion, doubt: Doubt) -> Option<Doubt> {
-        self.bad += 1;
+        self.probation = PROBATION;
         let [place, _] = motion.sigmas();
-        self.tracking = if place > self.settings.lost_sigma { Tracking::Lost } else { Tracking::Degraded };
-        Some(if self.tracking == Tracking::Lost { Doubt::Lost } else { doubt })
+        let is_lost =
+            place > self.settings.lost_sigma || motion.stamp_ns.saturating_sub(self.good_ns) > BELIEVED_NS;
+        self.tracking = if is_lost { Tracking::Lost } else { Tracking::Degraded };
+        Some(if is_lost { Doubt::Lost } else { doubt })
     }
 
-    /// Searches all of the map.
+    /// Searches one of the maps now and then, each in its turn, the present one first.
     fn find_back(&mut self, motion: &mut Motion) -> Option<Doubt> {
-        let points = &self.points.thinned;
-        self.bad += 1;
-        if points.len() < FEWEST || !self.bad.is_multiple_of(SEARCH_EVERY) {
+        self.searching += 1;
+        if self.points.thinned.len() < FEWEST || !self.searching.is_multiple_of(SEARCH_EVERY) {
             return Some(Doubt::Lost);
         }
-        let candidates = search::anywhere(&self.current, points, 0.3);
-        let mut matches: Vec<Match> =
-            candidates.iter().map(|candidate| refine(&self.current, points, &free(candidate.pose))).collect();
-        matches.sort_by(|a, b| b.explained.total_cmp(&a.explained));
-        let Some(best) = matches.first().copied() else { return Some(Doubt::Lost) };
-        let is_other = |found: &&Match| {
-            let off = difference(&found.pose, &best.pose);
-            off.xy().norm() > 0.5 || off.z.abs() > 0.3
-        };
-        let second = matches.iter().find(is_other).map_or(0.0, |found| found.explained * found.known);
-        if best.explained < FOUND || best.known < 0.6 || second > 0.8 * best.explained * best.known {
-            return Some(Doubt::Lost);
+        let number = self.searched;
+        self.searched = (number + 1) % (self.former.len() + 1);
+        let map = number.checked_sub(1).map_or(&self.current, |former| &self.former[former]);
+        let Some(found) = only_place(map, &self.points.thinned) else { return Some(Doubt::Lost) };
+        if number > 0 {
+            // What was seen since is of no use here: its place against this map is not known well enough.
+            let map = self.former.remove(number - 1);
+            let left = std::mem::replace(&mut self.current, map);
+            self.following = Submap::default();
+            self.submap_way = 0.0;
+            self.keep(left);
         }
-        motion.jump(&best);
-        self.bad = 0;
+        motion.jump(&found);
+        self.good_ns = motion.stamp_ns;
+        (self.searching, self.searched) = (0, 0);
+        // The next scan shows whether it holds.
         self.tracking = Tracking::Degraded;
         Some(Doubt::Ambiguous)
+    }
+
+    fn keep(&mut self, map: Submap) {
+        if self.former.len() == KEPT {
+            self.former.remove(0);
+        }
+        self.former.push(map);
     }
 
     /// Notes the motion, adds the scan to the matching map where it is time to, and puts the result together.
@@ -315,13 +348,15 @@ impl Localizer {
             self.last_key = Some(at);
             if self.submap_way > self.settings.submap_way {
                 self.submap_way = 0.0;
-                self.current = std::mem::take(&mut self.following);
+                let following = std::mem::take(&mut self.following);
+                let left = std::mem::replace(&mut self.current, following);
+                self.keep(left);
             }
             self.current.insert(&self.points, &at);
             self.following.insert(&self.points, &at);
         }
         self.motion = Some(motion);
-        let c = |row: usize, column: usize| covariance[(row, column)];
+        let c = |row: usize, column: usize| covariance[(row, column)] * CAUTION * CAUTION;
         Located {
             covariance: [c(0, 0), c(0, 1), c(0, 2), c(1, 1), c(1, 2), c(2, 2)],
             doubt,
@@ -352,14 +387,56 @@ impl Localizer {
 const FEWEST: usize = 20;
 /// Below this share of explained points a search looks whether there is a better place near by.
 const GOOD: f64 = 0.6;
-/// ... and where the place or the heading is less sure than this (m, rad): a refinement finds no farther.
+/// A place that a search finds is better than the one that was expected where it explains so much more.
+const BETTER: f64 = 0.05;
+/// Points in known space tell whether a scan fits where they are more than this share of all.
+const SEEN_BEFORE: f64 = 0.15;
+/// A scan that explains less than this part of the usual does not fit: people before the scanner cover much of what it sees,
+/// but at even spacing few of the points are theirs.
+const USUAL_PART: f64 = 0.7;
+/// After a scan that did not fit the next ones have to fit nearly as well as usual (part of it), most of what they show
+/// known (share), for so many scans: half a second at 40 Hz.
+const AGAIN_PART: f64 = 0.9;
+/// See [`AGAIN_PART`].
+const AGAIN_KNOWN: f64 = 0.6;
+/// See [`AGAIN_PART`].
+const PROBATION: u32 = 20;
+/// Weight of one scan in what is usual: some two seconds at 40 Hz.
+const USUAL_MEMORY: f64 = 0.02;
+/// A search looks as well where the place or the heading is less sure than this (m, rad): a refinement finds no farther.
 const NARROW: [f64; 2] = [0.06, 0.03];
 /// A place that a search finds is believed where this share of the points is explained.
 const FOUND: f64 = 0.7;
-/// While lost, one scan in this many is searched for.
-const SEARCH_EVERY: u32 = 10;
+/// While lost, one scan in this many is searched for: a search takes up to 0.4 s, and the queue before the mapper holds 2 s.
+const SEARCH_EVERY: u32 = 40;
+/// For so long the motion is believed without a good match (ns).
+const BELIEVED_NS: i64 = 2_000_000_000;
+/// Former maps that are kept: 8 of some 10 MB each.
+const KEPT: usize = 8;
+/// Deviations are told this much larger than the points' noise makes them: points on one surface share its errors, and
+/// the map has those of the scans that made it.
+const CAUTION: f64 = 3.0;
 
 /// Expects nothing: from a pose that a search has found.
 fn free(pose: Pose) -> Prior {
     Prior { pose, information: Matrix3::zeros() }
 }
+
+/// The place where the points fit the map, if there is exactly one.
+fn only_place(map: &Submap, points: &[points::ScanPoint]) -> Option<Match> {
+    let candidates = search::anywhere(map, points, 0.3);
+    let mut matches: Vec<Match> =
+        candidates.iter().map(|candidate| refine(map, points, &free(candidate.pose))).collect();
+    let fit = |found: &Match| found.explained * found.known;
+    matches.sort_by(|a, b| fit(b).total_cmp(&fit(a)));
+    let best = matches.first().copied()?;
+    let is_other = |found: &&Match| {
+        let off = difference(&found.pose, &best.pose);
+        off.xy().norm() > 0.5 || off.z.abs() > 0.3
+    };
+    let second = matches.iter().find(is_other).map_or(0.0, fit);
+    (best.explained >= FOUND && best.known >= 0.6 && second <= 0.8 * fit(&best)).then_some(best)
+}
+
+#[cfg(test)]
+mod tests;

@@ -594,6 +594,42 @@ mod tests {
         assert_eq!(report.scans_skipped.values().sum::<u64>(), 7);
     }
 
+    /// A wall ahead and one to either side.
+    fn in_a_room(seq: u64, ms: i64) -> Scan {
+        let mut scan = scan(seq, ms);
+        for (beam, range) in scan.ranges.iter_mut().enumerate() {
+            let bearing = -1.0 + 0.02 * beam as f32;
+            *range = (3.0 / bearing.cos()).min(2.0 / bearing.sin().abs().max(1e-3));
+        }
+        scan
+    }
+
+    #[test]
+    fn matched_scans_wait_for_odometry_while_it_comes() {
+        let settings = MapperSettings { poses: PoseUse::Odometry, ..MapperSettings::default() };
+        let mut mapper = Mapper::new(settings);
+        mapper.on_scan(in_a_room(0, 5));
+        mapper.on_scan(in_a_room(1, 405));
+        assert_eq!(outcomes(&mut mapper), [], "half a second for the first pose");
+        mapper.on_scan(in_a_room(2, 605));
+        assert_eq!(
+            outcomes(&mut mapper),
+            [(0, None), (1, None), (2, None)],
+            "none came, and none is waited for"
+        );
+        mapper.on_pose(at(600, 0));
+        mapper.on_pose(at(640, 0));
+        mapper.on_scan(in_a_room(3, 630));
+        assert_eq!(outcomes(&mut mapper), [(3, None)]);
+        mapper.on_scan(in_a_room(4, 655));
+        assert_eq!(outcomes(&mut mapper), [], "odometry is there: it is waited for");
+        mapper.on_pose(at(680, 0));
+        assert_eq!(outcomes(&mut mapper), [(4, None)]);
+        let report = mapper.report().localization.unwrap();
+        assert_eq!((report.state, report.lost), (Tracking::Tracking, 0));
+        assert_eq!(report.scans[&Tracking::Tracking], 5);
+    }
+
     #[test]
     fn masked_beams_and_a_scanner_on_its_head() {
         let settings = MapperSettings {

@@ -116,6 +116,41 @@ fn a_live_run_and_the_replay_of_its_recording_end_in_the_same_map() {
 }
 
 #[test]
+fn with_the_scanner_alone_the_replay_finds_the_same_poses() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let wheels = format!("match+unix:{}", at("wheels").display());
+    for (name, device, pose) in
+        [("alone", "sim:hall", "match"), ("guided", "sim:hall?poses=wheels", wheels.as_str())]
+    {
+        let recorded = format!("--record={name}-recordings");
+        let arguments = ["--device", device, "--pose", pose, &recorded, "--out", name, "--duration", "5"];
+        let status = Daemon::start(folder.path(), &arguments, None).wait();
+        let log = fs::read_to_string(at("log")).unwrap();
+        assert!(status.success(), "{log}");
+        let report = json(&at(name).join("report.json"));
+        assert!(report["scans_inserted"].as_u64().unwrap() > 50, "{report:#}");
+        assert_eq!(report["localization"]["state"], "tracking", "{report:#}");
+        assert_eq!(report["poses_read"].as_u64().unwrap() > 100, name == "guided", "{report:#}");
+
+        let files = recordings(&at(&format!("{name}-recordings")));
+        let replayed = format!("{name}-replayed");
+        let arguments = ["replay", files[0].to_str().unwrap(), "--out", &replayed];
+        assert!(Daemon::start(folder.path(), &arguments, None).wait().success());
+        let poses = |folder: &str| -> Vec<String> {
+            let text = fs::read_to_string(at(folder).join("trajectory.tum")).unwrap();
+            // The stamps of a live run are on the wall clock.
+            let poses = text.lines().filter_map(|line| line.split_once(' ').map(|(_, pose)| pose.to_owned()));
+            poses.collect()
+        };
+        assert_eq!(poses(name), poses(&replayed));
+        assert!(
+            fs::read(at(name).join("map.npz")).unwrap() == fs::read(at(&replayed).join("map.npz")).unwrap()
+        );
+    }
+}
+
+#[test]
 fn faults_on_the_wire_are_survived_counted_and_replayed_alike() {
     let folder = tempfile::tempdir().unwrap();
     let device = "sim:hall?fault-seed=3&disconnect=0.02&bad-sum=0.03&garbage=0.03&cut=0.02&skip-scan=0.02";

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use visagged::cdr::{Header, LaserScan, Message, Odometry, TfMessage, Transform, TransformStamped};
 use visagged::input::{InputError, InputOptions, PoseSource};
+use visagged::mapper::PoseUse;
 use visagged::mapper::{MapperKind, Outcome};
 use visagged::pose::{Pose, pose};
 use visagged::replay::{self, Replay, ReplayError, ReplayOptions};
@@ -166,16 +167,23 @@ fn a_bag_by_transforms_odometry_and_a_file_of_poses() {
 }
 
 #[test]
-fn a_bag_without_poses_says_what_to_do() {
+fn a_bag_without_poses_is_matched_or_says_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("standing.mcap");
     let mut bag = BagWriter::create(&path);
     bag.write("/front/scan", 0, &laser_scan(0));
     bag.write("/front/scan", 100 * MS, &laser_scan(100 * MS));
     bag.finish();
-    let message = error(&options(std::slice::from_ref(&path), None)).to_string();
+    let message = error(&options(std::slice::from_ref(&path), Some("tf"))).to_string();
     assert!(message.contains("--pose fixed"), "{message}");
+    for source in [None, Some("match"), Some("match-ranges")] {
+        let (replay, _) = run(&options(std::slice::from_ref(&path), source));
+        assert_eq!(replay.settings.poses, PoseUse::Odometry);
+        assert!(replay.input.notes.iter().any(|note| note.contains("matched")), "{:?}", replay.input.notes);
+        assert_eq!(replay.input.poses, 0);
+    }
     let (replay, outcomes) = run(&options(std::slice::from_ref(&path), Some("fixed")));
+    assert_eq!(replay.settings.poses, PoseUse::Map);
     assert_eq!(starts(&outcomes).len(), 2);
     assert_eq!(replay.input.poses, 4);
     let mut wrong = options(&[path], Some("fixed"));
@@ -328,7 +336,8 @@ fn a_bare_stream_in_two_files_with_garbage() {
     let paths = [folder.path().join("a.scip"), folder.path().join("b.bin")];
     std::fs::write(&paths[0], first).unwrap();
     std::fs::write(&paths[1], second).unwrap();
-    assert!(error(&options(&paths, None)).to_string().contains("--pose fixed"));
+    assert!(error(&options(&paths, Some("odom"))).to_string().contains("--pose fixed"));
+    assert_eq!(run(&options(&paths, None)).0.settings.poses, PoseUse::Odometry);
     let (replay, outcomes) = run(&options(&paths, Some("fixed")));
     assert_eq!((replay.input.scans, starts(&outcomes).len()), (4, 4), "{:?}", replay.input);
     assert!(replay.input.skipped_bytes > 0);
@@ -407,7 +416,9 @@ fn show(name: &str, replay: &Replay, outcomes: &[Outcome]) {
 #[test]
 fn real_office_without_poses() {
     let Some(path) = data("real/utm30lx-office.mcap") else { return };
-    assert!(matches!(error(&options(std::slice::from_ref(&path), None)), InputError::NoPoses { .. }));
+    let (matched, outcomes) = run(&options(std::slice::from_ref(&path), None));
+    show("office, matched", &matched, &outcomes);
+    assert_eq!(starts(&outcomes).len(), 885);
     let (replay, outcomes) = run(&options(&[path], Some("fixed")));
     show("office", &replay, &outcomes);
     assert_eq!((replay.input.scans, starts(&outcomes).len()), (885, 885));

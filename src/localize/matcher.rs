@@ -6,14 +6,18 @@ use super::submap::{Place, Submap};
 use crate::pose::{Pose, pose};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// Share of the points' information that is believed: their errors are not independent (neighbouring points lie on the same
-/// surface, and the map has the errors of the scans that made it).
-const BELIEF: f64 = 1.0;
 /// Distance at which a point counts half, from the first iteration to the last (m): wide at first to find the surface, then
 /// narrow against what is not in the map.
 const SCALES: [f64; 6] = [0.15, 0.10, 0.07, 0.05, 0.04, 0.04];
 /// A point is explained by a surface within this distance (m): three deviations of far ranges.
 const EXPLAINED: f64 = 0.08;
+/// A surface that is met at a smaller angle than this counts less (sine of the angle, 30 degrees): what a scanner's ranges have
+/// of systematic error shows there. A real one of 11 m range saw straight walls bent by 3 cm at their ends, and matching
+/// then bent the map by 0.2 degree a metre; half as much with this.
+const SLANT: f64 = 0.5;
+/// What is left of a surface's information along it, which is unevenness that was taken for form (rad2): a line through 30
+/// returns with 1 cm of noise over 30 cm turns by 0.02 rad.
+const UNEVEN: f64 = 4e-4;
 /// Least deviation of a surface of the map (m).
 const SURFACE_SIGMA: f64 = 0.005;
 /// Spread of a map's returns below which they tell no direction (m).
@@ -61,7 +65,7 @@ pub fn refine(map: &Submap, points: &[ScanPoint], prior: &Prior) -> Match {
     let last = Sums::of(map, points, &at, SCALES[SCALES.len() - 1]);
     Match {
         pose: at,
-        information: last.information,
+        information: last.sound_information(),
         explained: last.explained / last.known.max(1.0),
         known: last.known / (points.len() as f64).max(1.0),
     }
@@ -84,6 +88,8 @@ pub fn shifted(at: &Pose, by: &Vector3<f64>) -> Pose {
 struct Sums {
     information: Matrix3<f64>,
     gradient: Vector3<f64>,
+    /// What a surface's unevenness adds to the information, which tells nothing.
+    uneven: Matrix3<f64>,
     explained: f64,
     known: f64,
 }
@@ -117,7 +123,7 @@ impl Sums {
                 sums.explained += 1.0;
             }
             let robust = scale2 / (scale2 + distance * distance);
-            let weight = BELIEF * line.weight * robust * robust;
+            let weight = line.weight * robust * robust * point.slant_weight(SLANT);
             if point.post {
                 let weight = weight / (point.variance + along.max(floor));
                 sums.add(Vector2::x(), off.x, arm, weight);
@@ -126,6 +132,7 @@ impl Sums {
                 let weight =
                     weight / (point.variance + if is_line { across.max(floor) } else { SHORT * SHORT });
                 sums.add(direction, direction.dot(&off), arm, weight);
+                sums.uneven(Vector2::new(-direction.y, direction.x), arm, weight * UNEVEN);
             }
         }
         sums
@@ -135,5 +142,21 @@ impl Sums {
         let slope = Vector3::new(direction.x, direction.y, direction.y * arm.x - direction.x * arm.y);
         self.information += slope * slope.transpose() * weight;
         self.gradient += slope * (residual * weight);
+    }
+
+    fn uneven(&mut self, direction: Vector2<f64>, arm: Vector2<f64>, weight: f64) {
+        let slope = Vector3::new(direction.x, direction.y, direction.y * arm.x - direction.x * arm.y);
+        self.uneven += slope * slope.transpose() * weight;
+    }
+
+    /// The information without what unevenness feigns; none is negative.
+    fn sound_information(&self) -> Matrix3<f64> {
+        // Headings are weighed as lengths at 3 m, so that the parts can be compared.
+        let scale = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 3.0));
+        let unscale = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 1.0 / 3.0));
+        let difference = unscale * (self.information - self.uneven) * unscale;
+        let mut parts = difference.symmetric_eigen();
+        parts.eigenvalues.apply(|value| *value = value.max(0.0));
+        scale * parts.recompose() * scale
     }
 }

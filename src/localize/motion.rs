@@ -18,6 +18,8 @@ const ODOMETRY_TURN: f64 = 0.02;
 const ODOMETRY_REST: [f64; 2] = [0.002, 0.001];
 /// Deviation of a velocity that odometry gives (m/s, rad/s).
 const ODOMETRY_VELOCITY: [f64; 2] = [0.1, 0.1];
+/// Deviation of what no prediction sees coming: a kerb, a push (m, rad).
+const SUDDEN: [f64; 2] = [0.03, 0.02];
 /// Deviation of the first velocity where nothing tells it (m/s, rad/s): the drive may have begun already.
 const FIRST_VELOCITY: [f64; 2] = [1.0, 1.0];
 /// Variance that a pose has at least (m2, rad2), so that all matrices can be inverted.
@@ -117,6 +119,17 @@ impl Motion {
         if dt > 0.0 {
             self.velocity = moved / dt;
         }
+    }
+
+    /// Whether the scanner can be there, within four deviations told three times as large as they are, and
+    /// [`SUDDEN`].
+    pub fn allows(&self, pose: &Pose) -> bool {
+        let mut covariance = self.pose_covariance() * 9.0;
+        for (i, sudden) in [SUDDEN[0], SUDDEN[0], SUDDEN[1]].into_iter().enumerate() {
+            covariance[(i, i)] += sudden * sudden;
+        }
+        let off = difference(pose, &self.pose);
+        covariance.try_inverse().is_some_and(|information| off.dot(&(information * off)) <= 16.0)
     }
 
     /// What is expected of a match.

@@ -35,6 +35,15 @@ pub struct ScanPoint {
     pub post: bool,
 }
 
+impl ScanPoint {
+    /// 1, or less where its surface is met at an angle of a smaller sine than `least`.
+    pub fn slant_weight(&self, least: f64) -> f64 {
+        let range = self.at.coords.norm().max(1e-3);
+        let sine = self.normal.map_or(1.0, |normal| normal.dot(&self.at.coords).abs() / range);
+        (sine / least).min(1.0).powi(2)
+    }
+}
+
 /// One beam with a return, for the clearing of free space.
 #[derive(Clone, Copy, Debug)]
 pub struct Beam {

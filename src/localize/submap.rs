@@ -85,6 +85,7 @@ const HAS_SURFACE: u8 = 2;
 #[derive(Clone, Debug)]
 struct Tile {
     flags: [u8; AREA],
+    /// Empty until something was met in the tile: most of a large map is free.
     surfaces: Vec<Surface>,
 }
 
@@ -133,7 +134,8 @@ impl Submap {
 
     /// Memory that it holds (bytes).
     pub fn bytes(&self) -> usize {
-        self.tiles.len() * (AREA + AREA * size_of::<Surface>()) + self.table.len() * 4
+        let surfaces: usize = self.tiles.iter().map(|tile| tile.surfaces.len()).sum();
+        self.tiles.len() * AREA + surfaces * size_of::<Surface>() + self.table.len() * 4
     }
 
     /// Rectangle of all that was seen: least and greatest x and y (m).
@@ -161,7 +163,7 @@ impl Submap {
         }
         let place = ((at[1] - self.origin[1]) * self.size[0] + at[0] - self.origin[0]) as usize;
         if self.table[place] == 0 {
-            self.tiles.push(Tile { flags: [0; AREA], surfaces: vec![Surface::default(); AREA] });
+            self.tiles.push(Tile { flags: [0; AREA], surfaces: Vec::new() });
             self.table[place] = self.tiles.len() as u32;
         }
         self.table[place] as usize - 1
@@ -214,6 +216,9 @@ impl Submap {
         let tile = &mut self.tiles[number];
         let cell = in_tile(x, y);
         tile.flags[cell] |= HAS_SURFACE;
+        if tile.surfaces.is_empty() {
+            tile.surfaces.resize(AREA, Surface::default());
+        }
         let surface = &mut tile.surfaces[cell];
         // A thin wall's other side: the cell keeps the side that it saw first, while that is believed.
         if let (Some(new), Some(old)) = (normal, surface.normal())
