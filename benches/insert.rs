@@ -1,11 +1,10 @@
 //! What inserting a scan costs, beside a bare ray walk over the same scans in the same run.
 //!
-//! `cargo bench --bench insert` drives the 20 m hall and the 120 x 60 m office floor. The machine may be noisy: what
+//! `cargo bench --bench insert` drives the 20 m hall and the office loop of the simulator. The machine may be noisy: what
 //! counts is the last column, how many times faster than the ray walk. Each scan is measured by itself, in CPU time of
 //! the thread; the rounds alternate between the contestants, and each scan counts with its fastest round.
 //!
-//! `cargo bench --bench insert -- WORLD visagge` runs one contestant over one world, once: for a profiler
-//! (`tools/instructions` counts with it).
+//! `cargo bench --bench insert -- WORLD visagge` runs one contestant over one world, once: for a profiler.
 
 #[expect(dead_code, reason = "the truth is for the marks")]
 #[path = "../tools/eval/src/drive.rs"]
@@ -51,7 +50,7 @@ type Laid = (Scan, Pose, Pose);
 fn laid(world: &str) -> Vec<Laid> {
     let world = World::load(world).expect("a shipped world");
     let options = SimulationOptions::default();
-    let drive = Drive::new(String::new(), &world, options, 1);
+    let drive = Drive::new(&world, options, 1);
     let mut poses = PoseBuffer::default();
     for pose in drive.poses {
         poses.push(pose);

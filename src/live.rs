@@ -345,7 +345,7 @@ impl Supervisor {
             }
             FromMapper::Map(map, report) => {
                 let is_last = self.phase != Phase::Running;
-                self.latest = Some((map, report));
+                self.latest = Some((map, *report));
                 // The last map is written when the recorder has ended too, with the final counts.
                 if !is_last {
                     self.write_outputs(false);

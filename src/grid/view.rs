@@ -294,10 +294,16 @@ impl View {
         self.farthest
     }
 
-    /// How far each beam is known to be free (m); `silent`, where it returned nothing.
+    /// How far each beam and both beside it are known to be free (m); `silent`, where they returned nothing. A
+    /// beam that alone goes far is a random reading, or slipped through where nothing else can.
     pub fn free_ranges(&self, silent: f32) -> impl Iterator<Item = f32> {
-        let both = self.clear[0].iter().zip(&self.empty[0]);
-        both.map(move |(&clear, &empty)| if clear < empty { silent } else { clear })
+        let free = move |beam: usize| {
+            let (clear, empty) = (self.clear[0][beam], self.empty[0][beam]);
+            if clear < empty { silent } else { clear }
+        };
+        let last = self.clear[0].len().saturating_sub(1);
+        (0..self.clear[0].len())
+            .map(move |beam| free(beam.saturating_sub(1)).min(free(beam)).min(free((beam + 1).min(last))))
     }
 
     /// Where the sensor was in the middle of the scan (m).

@@ -41,7 +41,7 @@ pub enum FromMapper {
         pose: Pose,
     },
     /// The map as it stands.
-    Map(Arc<Map>, MapperReport),
+    Map(Arc<Map>, Box<MapperReport>),
 }
 
 /// See the module.
@@ -110,7 +110,7 @@ impl Mapping {
 
     fn tell_map(&mut self, patience: Duration) {
         let map = Arc::new(self.mapper.map());
-        self.main.hand_over(FromMapper::Map(Arc::clone(&map), self.mapper.report()), patience);
+        self.main.hand_over(FromMapper::Map(Arc::clone(&map), Box::new(self.mapper.report())), patience);
         let Some(recorder) = &self.recorder else { return };
         recorder.hand_over(Record::Map(Arc::clone(&map)), patience);
         if patience.is_zero() {
