@@ -480,10 +480,19 @@ mod tests {
         for text in ["", "ttyACM0", "serial:", "sim:", "tcp://:1", "tcp://host:http", "http://host:1"] {
             assert!(text.parse::<DeviceUrl>().is_err(), "{text}");
         }
-        for text in ["none", "unix:/run/visagged/pose", "udp://127.0.0.1:7777", "udp://[::1]:7777"] {
+        for text in [
+            "none",
+            "match",
+            "match+unix:/run/visagged/wheels",
+            "unix:/run/visagged/pose",
+            "udp://127.0.0.1:7777",
+            "udp://[::1]:7777",
+        ] {
             assert_eq!(text.parse::<PoseSource>().unwrap().to_string(), text);
         }
-        for text in ["", "unix:", "udp://127.0.0.1", "udp://192.0.2.1:7777", "match"] {
+        for text in
+            ["", "unix:", "udp://127.0.0.1", "udp://192.0.2.1:7777", "match+", "match+none", "match+match"]
+        {
             assert!(text.parse::<PoseSource>().is_err(), "{text}");
         }
     }

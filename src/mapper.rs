@@ -220,7 +220,7 @@ pub struct MapperReport {
     pub map_bytes: usize,
     /// How the scans were located; absent where poses in the map were given.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub localization: Option<LocalizeReport>,
+    pub localization: Option<Box<LocalizeReport>>,
 }
 
 /// Locates scans and keeps the account of it.
@@ -333,7 +333,7 @@ impl Mapper {
             poses_out_of_order: self.poses_out_of_order,
             insert_us: InsertTime::of(&self.insert_ns),
             map_bytes: self.grid.bytes(),
-            localization: self.matching.as_ref().map(Matching::report),
+            localization: self.matching.as_ref().map(|matching| Box::new(matching.report())),
         }
     }
 
