@@ -252,7 +252,13 @@ fn replayed(files: &[PathBuf], pose: Option<PoseSource>) -> (Map, Vec<Outcome>, 
         ..ReplayOptions::default()
     };
     let mut outcomes = Vec::new();
-    let mut replay = replay::run(&options, &mut |outcome| outcomes.push(outcome), &mut |_| {}).unwrap();
+    // A replay tells the time since 1970, the run its monotonic clock.
+    let mut on_outcome = |mut outcome| {
+        let (Outcome::Inserted { stamp_ns, .. } | Outcome::Skipped { stamp_ns, .. }) = &mut outcome;
+        *stamp_ns -= WALL - START;
+        outcomes.push(outcome);
+    };
+    let mut replay = replay::run(&options, &mut on_outcome, &mut |_| {}).unwrap();
     (replay.mapper.map(), outcomes, replay)
 }
 
