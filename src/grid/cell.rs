@@ -126,6 +126,8 @@ pub struct Cell {
     pub widest_missed: u16,
     /// Mean place of the returns in the cell (cells, 0..1 each).
     pub centroid: [f32; 2],
+    /// When the first and the last return landed in it (s since the first scan).
+    hit_time: [f32; 2],
     /// The surface through it and its neighbours, as last judged.
     pub line: Option<Line>,
     /// What its shape says of it, as last judged: all of the verdict but whether it is an image.
@@ -152,6 +154,7 @@ impl Cell {
             missed_scans: 0,
             widest_missed: 0,
             centroid: [0.5; 2],
+            hit_time: [0.0; 2],
             line: None,
             shape: Verdict::None,
             verdict: Verdict::None,
@@ -164,7 +167,11 @@ impl Cell {
     }
 
     /// Core step 1: a return at this place in the cell (cells, 0..1).
-    pub fn record_hit(&mut self, at: [f32; 2], scan: u32, rule: &Rule) {
+    pub fn record_hit(&mut self, at: [f32; 2], scan: u32, time: f32, rule: &Rule) {
+        if self.hits == 0 {
+            self.hit_time[0] = time;
+        }
+        self.hit_time[1] = time;
         if self.hit_scan != scan {
             self.hit_scan = scan;
             self.occupancy = (self.occupancy + 1).min(rule.cap);
@@ -188,6 +195,11 @@ impl Cell {
             Observation::Hidden => (),
             Observation::Unsure => self.record_unsure(look),
         }
+    }
+
+    /// Time from its first return to its last (s).
+    pub fn lasted(&self) -> f32 {
+        self.hit_time[1] - self.hit_time[0]
     }
 
     /// Core step 2: the cell was observed from here. The run of observation goes on or begins, and
@@ -316,7 +328,7 @@ mod tests {
                 (self.scan, self.way) = (self.scan + 1, self.way + 0.05);
                 let look = self.look(f64::from(degrees));
                 if seen.contains(&degrees) {
-                    self.cell.record_hit([0.5, 0.5], look.scan, &RULE);
+                    self.cell.record_hit([0.5, 0.5], look.scan, 0.025 * look.scan as f32, &RULE);
                     self.cell.record_seen(&look, &RULE);
                 } else {
                     contradictions += u32::from(self.cell.record_missed(&look, false, &RULE));
@@ -353,7 +365,7 @@ mod tests {
             drive.scan += 1;
             let look = drive.look(10.0);
             if seen {
-                drive.cell.record_hit([0.5, 0.5], look.scan, &RULE);
+                drive.cell.record_hit([0.5, 0.5], look.scan, 0.025 * look.scan as f32, &RULE);
                 drive.cell.record_seen(&look, &RULE);
             } else {
                 assert!(drive.cell.record_missed(&look, false, &RULE));

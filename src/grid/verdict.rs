@@ -62,6 +62,8 @@ const GAP: i32 = 5;
 /// solid if it was seen over at least this range (rad), 10 degrees: a leg takes 0.3 s to cross a cell, and at 1 m/s a
 /// sensor 2 m away moves by 9 degrees meanwhile.
 const WIDE: f64 = 0.17;
+/// Or if its returns came over at least this time (s): nobody who walks stays in a cell for a second.
+const LASTING: f32 = 1.0;
 
 impl Visagge {
     /// Judges all cells around which something changed.
@@ -183,7 +185,9 @@ fn shape(cell: &Cell, line: Option<&Line>) -> Verdict {
         return Verdict::TooFew;
     }
     let width = u32::from(cell.visible.range.width);
-    if width >= 2 * u32::from(cell.widest_missed) && (!cell.was_crossed || width >= units(WIDE)) {
+    if width >= 2 * u32::from(cell.widest_missed)
+        && (!cell.was_crossed || width >= units(WIDE) || cell.lasted() >= LASTING)
+    {
         return Verdict::Solid;
     }
     if cell.passes > 0 {

@@ -221,6 +221,9 @@ pub struct Visagge {
     scan: u32,
     seq: Option<u64>,
     way: f32,
+    /// Time of the scan (s since the first one).
+    time: f32,
+    first_stamp_ns: Option<i64>,
     middle: Option<[f64; 2]>,
 }
 
@@ -239,6 +242,8 @@ impl Visagge {
             scan: 0,
             seq: None,
             way: 0.0,
+            time: 0.0,
+            first_stamp_ns: None,
             middle: None,
         }
     }
@@ -288,6 +293,8 @@ impl Visagge {
         let follows = self.seq.is_none_or(|last| last + 1 == sweep.scan.seq);
         self.scan += if follows { 1 } else { 2 };
         self.seq = Some(sweep.scan.seq);
+        let first_ns = *self.first_stamp_ns.get_or_insert(sweep.scan.stamp_ns);
+        self.time = ((sweep.scan.stamp_ns - first_ns) as f64 * 1e-9) as f32;
         let middle = [sweep.middle().x, sweep.middle().y];
         if let Some(before) = self.middle {
             self.way += (middle[0] - before[0]).hypot(middle[1] - before[1]) as f32;
@@ -323,7 +330,7 @@ impl Visagge {
                 look.angle = Angle::from_rad((-direction.y).atan2(-direction.x));
                 Cell::new(place, crossed, &look)
             });
-            cell.record_hit(at, self.scan, rule);
+            cell.record_hit(at, self.scan, self.time, rule);
         }
     }
 
