@@ -122,7 +122,7 @@ impl Motion {
     }
 
     /// Whether the scanner can be there, within four deviations told three times as large as they are, and
-    /// [`SUDDEN`].
+    /// `SUDDEN`.
     pub fn allows(&self, pose: &Pose) -> bool {
         let mut covariance = self.pose_covariance() * 9.0;
         for (i, sudden) in [SUDDEN[0], SUDDEN[0], SUDDEN[1]].into_iter().enumerate() {
