@@ -186,7 +186,7 @@ mod tests {
             let mut grid = Visits::with_glints(0.5, 30.0);
             look(&mut grid, 0.25, 2.0, intensity);
             for step in 1..20 {
-                look(&mut grid, 0.25 - 0.5 * f64::from(step), 8.0, 0.0);
+                look(&mut grid, 0.25 - 0.5 * f64::from(step), 29.0, 0.0);
             }
             assert_eq!(cells(&grid).contains(&(4, true)), stays);
         }
