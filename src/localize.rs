@@ -296,8 +296,11 @@ impl Localizer {
 
     /// The scan does not fit: the motion is believed for a while.
     fn miss(&mut self, motion: &Motion, doubt: Doubt) -> Option<Doubt> {
-        self.probation = PROBATION;
-        let [place, _] = motion.sigmas();
+        let [place, heading] = motion.sigmas();
+        // Odometry that goes on leaves little room for a wrong place.
+        if place > NARROW[0] || heading > NARROW[1] {
+            self.probation = PROBATION;
+        }
         let is_lost =
             place > self.settings.lost_sigma || motion.stamp_ns.saturating_sub(self.good_ns) > BELIEVED_NS;
         self.tracking = if is_lost { Tracking::Lost } else { Tracking::Degraded };
