@@ -296,10 +296,14 @@ impl Localizer {
 
     /// The scan does not fit: the motion is believed for a while.
     fn miss(&mut self, motion: &Motion, doubt: Doubt) -> Option<Doubt> {
-        self.probation = PROBATION;
         let [place, _] = motion.sigmas();
-        let is_lost =
-            place > self.settings.lost_sigma || motion.stamp_ns.saturating_sub(self.good_ns) > BELIEVED_NS;
+        // Odometry that goes on leaves little room for a wrong place.
+        let is_guided = self.wheels.is_some();
+        if !is_guided {
+            self.probation = PROBATION;
+        }
+        let is_lost = place > self.settings.lost_sigma
+            || motion.stamp_ns.saturating_sub(self.good_ns) > BELIEVED_NS[usize::from(is_guided)];
         self.tracking = if is_lost { Tracking::Lost } else { Tracking::Degraded };
         Some(if is_lost { Doubt::Lost } else { doubt })
     }
@@ -409,8 +413,8 @@ const NARROW: [f64; 2] = [0.06, 0.03];
 const FOUND: f64 = 0.7;
 /// While lost, one scan in this many is searched for: a search takes up to 0.4 s, and the queue before the mapper holds 2 s.
 const SEARCH_EVERY: u32 = 40;
-/// For so long the motion is believed without a good match (ns).
-const BELIEVED_NS: i64 = 2_000_000_000;
+/// For so long the motion is believed without a good match: an even one, and that of odometry (ns).
+const BELIEVED_NS: [i64; 2] = [2_000_000_000, 10_000_000_000];
 /// Former maps that are kept: 8 of some 10 MB each.
 const KEPT: usize = 8;
 /// Deviations are told this much larger than the points' noise makes them: points on one surface share its errors, and
