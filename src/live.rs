@@ -357,6 +357,8 @@ impl Supervisor {
     fn on_end(&mut self, end: &Ended) {
         self.running.retain(|name| *name != end.name);
         if end.panicked {
+            // The cause, even where a thread that it fed has ended before this one could tell.
+            self.failure = self.failure.take().filter(|earlier| earlier.exit == Exit::Fault);
             self.fail(Exit::Fault, anyhow!("the thread {} failed; its message is above", end.name));
         } else if self.phase == Phase::Running {
             self.fail(Exit::Io, anyhow!("the thread {} has ended by itself", end.name));

@@ -17,7 +17,7 @@ use std::collections::HashMap;
 /// past the edges of the surface that reflects, where a cell's error decides.
 const OBSERVERS: [f64; 5] = [0.5, 0.3, 0.7, 0.1, 0.9];
 /// How many of these need not be explained: surfaces are mapped with gaps.
-const GAPS: usize = 1;
+const GAPS: usize = 2;
 /// What is crossed this near to the cell is the surface that the cell is part of (m).
 const CLEAR_OF_CELL: f64 = 0.3;
 /// What is crossed this near to the sensor is the robot (m).

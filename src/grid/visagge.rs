@@ -138,9 +138,12 @@ impl Evidence {
 
     /// The cell in this column and row, if something may be seen through it or in it.
     pub(super) fn mirror_at(&self, column: usize, row: usize) -> Option<&Cell> {
-        let mirrors = self.mirrors[row] >> column & 1 == 1;
-        let slot = || usize::from(self.slots[slot([column as u8, row as u8])]);
-        if mirrors { self.cells.get(slot()) } else { None }
+        let beside = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
+        let (column, row) =
+            beside.into_iter().map(|(x, y)| (column as i32 + x, row as i32 + y)).find(|&(x, y)| {
+                (0..SIDE).contains(&x) && (0..SIDE).contains(&y) && self.mirrors[y as usize] >> x & 1 == 1
+            })?;
+        self.cells.get(usize::from(self.slots[slot([column as u8, row as u8])]))
     }
 
     /// The cell in this column and row.
