@@ -55,6 +55,9 @@ const LEAST_LENGTH: f32 = 0.4;
 /// through a patch is uncertain by some degrees.
 const NORMAL: f64 = 0.14;
 
+/// Something is seen through a surface, or in it, that was missed over at least this range (rad): 3 degrees. Less is a
+/// wall at grazing incidence.
+const SEEN_THROUGH: f64 = 0.05;
 /// What is shown on both sides of a gap must begin within this many cells: a quarter of a metre, less than half a
 /// door or a person's width.
 const GAP: i32 = 5;
@@ -171,7 +174,9 @@ impl Visagge {
             let [column, row] = cell.place;
             if cell.shape.is_shown() {
                 evidence.shown[usize::from(row)] |= 1 << column;
-                if cell.widest_missed > 0 && cell.line.is_some_and(|line| line.is_flat()) {
+                if u32::from(cell.widest_missed) >= units(SEEN_THROUGH)
+                    && cell.line.is_some_and(|line| line.is_flat())
+                {
                     evidence.mirrors[usize::from(row)] |= 1 << column;
                     evidence.has_mirrors = true;
                 }
