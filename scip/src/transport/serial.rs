@@ -1,4 +1,7 @@
 //! A serial port, USB CDC-ACM devices and pseudo terminals included: raw, 8N1, for one opener only.
+//!
+//! The port is opened and read here and not by the crate `serialport`, which lists the ports: its reads give up the bytes
+//! that came before a hang-up, and they are the end of a recording.
 
 use std::fs::{File, OpenOptions};
 use std::io;
