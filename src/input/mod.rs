@@ -106,7 +106,7 @@ impl InputReport {
 #[derive(Debug, thiserror::Error)]
 pub enum InputError {
     /// A file cannot be opened or read from its beginning.
-    #[error("{}: {source}", path.display())]
+    #[error("cannot read {}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
