@@ -12,7 +12,7 @@ use super::{
     cell::Cell,
     reflection::{self, Image, Opacity},
     surface::{Line, Window},
-    tiles::{CellIndex, TileIndex},
+    tiles::CellIndex,
     visagge::Visagge,
 };
 
@@ -69,33 +69,22 @@ const WIDE: f64 = 0.17;
 const LASTING: f32 = 1.0;
 
 impl Visagge {
-    /// Judges all cells around which something changed.
+    /// Judges all cells, from their observations alone: a verdict does not depend on the one before, so the map does not
+    /// depend on when it was asked for.
     pub(super) fn judge(&mut self) {
-        let mut touched: Vec<TileIndex> = self
-            .tiles
-            .iter()
-            .filter(|(_, tile)| tile.evidence.as_ref().is_some_and(|evidence| evidence.changed))
-            .flat_map(|(place, _)| {
-                (-1..=1).flat_map(move |dy| {
-                    (-1..=1).map(move |dx| TileIndex { x: place.x + dx, y: place.y + dy })
-                })
-            })
-            .collect();
-        touched.sort_unstable();
-        touched.dedup();
-        for &place in &touched {
-            self.judge_tile(place);
+        for number in 0..self.tiles.len() {
+            self.judge_tile(number);
         }
-        self.bridge_gaps(&touched);
+        self.bridge_gaps();
         self.judge_images();
     }
 
     /// Shows cells in the gaps of what is shown. A pane is seen cell by cell, for a few scans each: where somebody stands in
     /// between, or two cells share a return, single ones have too little to be a surface by themselves.
-    fn bridge_gaps(&mut self, places: &[TileIndex]) {
+    fn bridge_gaps(&mut self) {
         let mut bridged = Vec::new();
-        for &place in places {
-            let Some(number) = self.tiles.find(place) else { continue };
+        for number in 0..self.tiles.len() {
+            let place = self.tiles.place(number);
             for cell in self.tiles.at(number).evidence.iter().flat_map(|evidence| &evidence.cells) {
                 if !cell.shape.is_shown() && self.is_in_gap(cell.index(place)) {
                     bridged.push((number, cell.place));
@@ -155,14 +144,13 @@ impl Visagge {
     }
 
     /// Judges the cells of a tile by their own observations and their neighbours'.
-    fn judge_tile(&mut self, place: TileIndex) {
-        let Some(number) = self.tiles.find(place) else { return };
+    fn judge_tile(&mut self, number: usize) {
+        let place = self.tiles.place(number);
         if self.tiles.at(number).evidence.is_none() {
             return;
         }
         let window = Window::around(self, place);
         let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("tested above");
-        evidence.changed = false;
         evidence.shown = [0; 64];
         evidence.mirrors = [0; 64];
         evidence.has_mirrors = false;
@@ -202,4 +190,32 @@ fn shape(cell: &Cell, line: Option<&Line>) -> Verdict {
     let explains =
         |line: &Line| line.length >= LEAST_LENGTH && line.is_flat() && line.off_normal(seen_from) <= NORMAL;
     if line.is_some_and(explains) { Verdict::Surface } else { Verdict::NoSurface }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        grid::{
+            sweep::{Sweep, tests::half_circle},
+            visagge::VisaggeSettings,
+        },
+        pose::pose,
+    };
+
+    #[test]
+    fn the_map_does_not_depend_on_when_it_was_asked_for() {
+        let [mut often, mut once] = [(); 2].map(|()| Visagge::new(0.05, VisaggeSettings::default()));
+        // Seen from one place, then missed from another, with nothing else to see but far away.
+        for (seq, (x, range)) in [(0.0, 2.0), (0.0, 2.0), (0.0, 2.0), (1.0, 25.0)].into_iter().enumerate() {
+            let scan = half_circle(seq as u64, vec![range; 361]);
+            let at = pose(x, 0.0, 0.0);
+            let sweep = Sweep { scan: &scan, start: at, end: at };
+            often.insert(&sweep);
+            once.insert(&sweep);
+            let shown = often.map().occupancy.iter().filter(|cell| **cell == 100).count();
+            assert!(seq == 0 || shown > 0, "{seq}");
+        }
+        assert!(often.map() == once.map());
+    }
 }

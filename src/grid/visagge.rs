@@ -102,8 +102,6 @@ pub(super) struct Evidence {
     pub(super) mirrors: [u64; SIDE as usize],
     /// Whether there is any such cell.
     pub(super) has_mirrors: bool,
-    /// Whether anything changed since the verdict on the tile.
-    pub(super) changed: bool,
 }
 
 impl Default for Evidence {
@@ -115,7 +113,6 @@ impl Default for Evidence {
             shown: [0; SIDE as usize],
             mirrors: [0; SIDE as usize],
             has_mirrors: false,
-            changed: false,
         }
     }
 }
@@ -171,7 +168,6 @@ impl Evidence {
             if let Some(moved) = self.cells.get(number) {
                 self.slots[slot(moved.place)] = number as u16;
             }
-            self.changed = true;
         }
     }
 }
@@ -325,7 +321,6 @@ impl Visagge {
             let tile = tiles.at_mut(recent.1);
             let crossed = tile.free[row] >> column & 1 == 1;
             let evidence = tile.evidence.get_or_insert_default();
-            evidence.changed = true;
             let at = [(point.x - f64::from(index.x)) as f32, (point.y - f64::from(index.y)) as f32];
             let place = [column as u8, row as u8];
             let mut look = Look { scan: self.scan, angle: Default::default(), range, way: self.way };
