@@ -108,6 +108,11 @@ impl AngleRange {
         Angle(self.start.0.wrapping_add(self.width / 2))
     }
 
+    /// Its width (rad).
+    pub fn width_rad(self) -> f64 {
+        f64::from(self.width) * (std::f64::consts::TAU / 65_536.0)
+    }
+
     /// Whether `angle` lies in the arc.
     pub fn contains(self, angle: Angle) -> bool {
         angle.0.wrapping_sub(self.start.0) <= self.width

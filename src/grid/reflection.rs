@@ -19,6 +19,9 @@ use std::collections::HashMap;
 const OBSERVERS: [f64; 5] = [0.5, 0.3, 0.7, 0.1, 0.9];
 /// How many of these need not be explained: surfaces are mapped with gaps.
 const GAPS: usize = 2;
+/// A second range of view angles must be explained too if it is at least as wide (rad): 5 degrees. In narrower ones of an
+/// image, a gap of the surface decides.
+const TELLING: f64 = 0.087;
 /// What is crossed this near to the cell is the surface that the cell is part of (m).
 const CLEAR_OF_CELL: f64 = 0.3;
 /// What is crossed this near to the sensor is the robot (m).
@@ -39,9 +42,9 @@ const WIDEST: f64 = 0.3;
 
 /// Half the side of the blocks in which surfaces are told to be opaque or not (cells).
 const BLOCK: i32 = 16;
-/// Share of what is seen through a surface, beyond what glass can reflect, that must be explained for the surface to
-/// be opaque. In front of a mirror nearly everything is, short of what was never seen directly.
-const OPAQUE: f32 = 0.75;
+/// Share of what is seen through a surface, and could be known, that must be explained for the surface to be opaque. In
+/// a mirror nearly everything is, short of what has moved; behind glass what happens to be symmetric.
+const OPAQUE: f32 = 0.65;
 /// Distance at which the scanner sees a good target (m). UTM-30LX: 30, which a target of albedo 0.9 returns.
 const SEES: f64 = 30.0;
 
@@ -51,8 +54,10 @@ pub(super) enum Image {
     /// Not seen through any surface.
     #[default]
     No,
-    /// Seen through a surface, and nothing mirrored explains it.
+    /// Seen through a surface, and where its original would stand beams have passed.
     Unexplained(Block),
+    /// Seen through a surface, and no beam has come to where its original would stand.
+    Unknown(Block),
     /// Explained, but glass would not reflect that much: only an opaque surface there.
     IfOpaque(Block),
     /// Explained, in any surface.
@@ -65,8 +70,9 @@ impl Image {
         match self {
             Image::No => 0,
             Image::Unexplained(_) => 1,
-            Image::IfOpaque(_) => 2,
-            Image::Yes => 3,
+            Image::Unknown(_) => 2,
+            Image::IfOpaque(_) => 3,
+            Image::Yes => 4,
         }
     }
 }
@@ -84,7 +90,7 @@ impl Opacity {
     /// Counts what was found of a cell.
     pub(super) fn vote(&mut self, image: Image) {
         let (block, explained) = match image {
-            Image::No | Image::Yes => return,
+            Image::No | Image::Yes | Image::Unknown(_) => return,
             Image::Unexplained(block) => (block, 0),
             Image::IfOpaque(block) => (block, 1),
         };
@@ -94,18 +100,18 @@ impl Opacity {
 
     /// Whether the surface in the block, with its neighbours, reflects all that is seen through it.
     fn is_opaque(&self, (x, y): Block) -> bool {
-        let (explained, all) = (-2..=2)
-            .flat_map(|dy| (-2..=2).map(move |dx| (x + dx, y + dy)))
+        let (explained, all) = (-1..=1)
+            .flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy)))
             .filter_map(|block| self.votes.get(&block))
             .fold((0, 0), |sum, votes| (sum.0 + votes.0, sum.1 + votes.1));
-        explained as f32 >= OPAQUE * all as f32
+        all > 0 && explained as f32 >= OPAQUE * all as f32
     }
 
     /// The verdict.
     pub(super) fn is_image(&self, image: Image) -> bool {
         match image {
             Image::No | Image::Unexplained(_) => false,
-            Image::IfOpaque(block) => self.is_opaque(block),
+            Image::Unknown(block) | Image::IfOpaque(block) => self.is_opaque(block),
             Image::Yes => true,
         }
     }
@@ -116,17 +122,20 @@ pub(super) fn image(grid: &Visagge, place: TileIndex, cell: &Cell) -> Image {
     let index = cell.index(place);
     let at = |index: i32| (f64::from(index) + 0.5) * grid.resolution;
     let point = [at(index.x), at(index.y)];
+    let too = Some(&cell.visible_too).filter(|too| too.way >= 0.0 && too.range.width_rad() >= TELLING);
     let mut image = Image::Yes;
-    let mut unexplained = 0;
-    for part in OBSERVERS {
-        let [x, y] = cell.visible.sensor(part);
-        match explained(grid, point, [point[0] + x, point[1] + y], x.hypot(y), y.atan2(x)) {
-            Image::Yes => (),
-            Image::IfOpaque(block) => image = Image::IfOpaque(block),
-            other => {
-                unexplained += 1;
-                if unexplained > GAPS {
-                    return other;
+    for visible in [Some(&cell.visible), too].into_iter().flatten() {
+        let mut unexplained = 0;
+        for part in OBSERVERS {
+            let [x, y] = visible.sensor(part);
+            match explained(grid, point, [point[0] + x, point[1] + y], x.hypot(y), y.atan2(x)) {
+                Image::Yes => (),
+                Image::IfOpaque(block) => image = Image::IfOpaque(block),
+                other => {
+                    unexplained += 1;
+                    if unexplained > GAPS {
+                        return other;
+                    }
                 }
             }
         }
@@ -153,7 +162,8 @@ fn explained(grid: &Visagge, point: [f64; 2], sensor: [f64; 2], range: f64, bear
         image = match (explains, image) {
             (true, _) if by_glass => Image::Yes,
             (true, _) => Image::IfOpaque(block),
-            (false, Image::No) if !by_glass => Image::Unexplained(block),
+            (false, Image::No) if grid.is_crossed(mirrored) => Image::Unexplained(block),
+            (false, Image::No) => Image::Unknown(block),
             _ => image,
         };
         explains
@@ -162,14 +172,13 @@ fn explained(grid: &Visagge, point: [f64; 2], sensor: [f64; 2], range: f64, bear
 }
 
 /// Share of the light that a pane of glass (index of refraction 1.5, both faces) reflects at an angle of incidence
-/// (rad): Fresnel, unpolarised.
+/// (rad): Fresnel, of light polarised across the plane of incidence. A laser's light is polarised, and how is in no data
+/// sheet: this is the most that glass may reflect.
 fn glass_reflects(incidence: f64) -> f64 {
     let cos = incidence.cos();
     let cos_inside = (1.0 - (incidence.sin() / 1.5).powi(2)).sqrt();
     let across = ((cos - 1.5 * cos_inside) / (cos + 1.5 * cos_inside)).powi(2);
-    let along = ((1.5 * cos - cos_inside) / (1.5 * cos + cos_inside)).powi(2);
-    let face = (across + along) / 2.0;
-    2.0 * face / (1.0 + face)
+    2.0 * across / (1.0 + across)
 }
 
 /// Visits the cells on the line of sight that something may be seen through or in, until `visit` returns true.
@@ -226,6 +235,12 @@ fn leaves(place: TileIndex, sensor: [f64; 2], direction: [f64; 2], resolution: f
 }
 
 impl Visagge {
+    /// Whether a beam has crossed the point.
+    fn is_crossed(&self, point: [f64; 2]) -> bool {
+        let (place, column, row) = CellIndex::of(point[0], point[1], self.resolution).split();
+        self.tiles.get(place).is_some_and(|tile| tile.free[row] >> column & 1 == 1)
+    }
+
     /// Whether a cell that is shown lies within this distance of the point (m), in x and in y.
     fn is_mapped_near(&self, point: [f64; 2], distance: f64) -> bool {
         let low = CellIndex::of(point[0] - distance, point[1] - distance, self.resolution);

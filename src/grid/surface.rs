@@ -4,6 +4,7 @@ use super::{
     angle::{Angle, units},
     cell::Cell,
     tiles::{CellIndex, SIDE, TileIndex},
+    verdict::is_solid,
     visagge::Visagge,
 };
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -17,9 +18,20 @@ const PATCH: i32 = 8;
 const PATCH_HALF: f64 = 0.4;
 /// Depth of the patch (m): what lies farther before or behind is not part of the surface.
 const PATCH_DEPTH: f64 = 0.15;
-/// Neighbours seen from directions farther apart than this are parts of different surfaces (rad).
-/// A pillar of glass of 1 m radius turns by this over the length of the patch.
-const SAME_VIEW: f64 = 0.3;
+/// Neighbours seen from directions farther apart than this are parts of different surfaces (rad): 3 degrees on a flat pane,
+/// where a position error of 5 cm seen from 1 m is all that differs.
+pub const OF_PLANE: f64 = 0.05;
+/// The same where it bends: a pillar of glass of 1 m radius turns by this over the length of the patch.
+pub const OF_PILLAR: f64 = 0.3;
+/// Returns that a cell counts with at most: enough that single ones do not spoil a line, few enough that nobody who stood
+/// still outweighs all else.
+const WEIGHT: u8 = 10;
+/// What is seen from directions no farther apart than this (rad) is seen one behind the other: 6 degrees, a leg's width at 1 m.
+const SAME_VIEW: f64 = 0.1;
+/// What lies no farther off a line is on it (m): two standard deviations of ranges and poses, and half a cell.
+const ON_LINE: f64 = 0.06;
+/// Two legs lie this far apart at most while they swing, along the line of sight (m); behind a pane seldom anything stands as near.
+const CLUTTER: f64 = 0.3;
 /// Most that a flat surface spreads across its line, root mean square (m): cells, ranges and poses.
 const FLAT: f32 = 0.035;
 /// Most cells without evidence that a long surface bridges: a frame, somebody in front.
@@ -36,6 +48,8 @@ pub struct Line {
     pub rms: f32,
     /// Length of an even row of points with the same spread along it (m).
     pub length: f32,
+    /// Share of what was seen from the same direction, there and up to 0.3 m before and behind it, that lies on it (0..1).
+    pub share: f32,
 }
 
 impl Line {
@@ -93,6 +107,7 @@ impl Moments {
             normal: (along + FRAC_PI_2) as f32,
             rms: ((xx + yy) / 2.0 - spread).max(0.0).sqrt() as f32,
             length: (12.0 * ((xx + yy) / 2.0 + spread)).sqrt() as f32,
+            share: 0.0,
         })
     }
 }
@@ -102,6 +117,8 @@ struct Neighbour {
     at: [f64; 2],
     seen_from: Angle,
     weight: f64,
+    /// Whether it was hardly ever missed: what stands behind a pane, not somebody's other leg.
+    is_solid: bool,
 }
 
 /// The cells with evidence in a tile and around it, found by their place.
@@ -134,7 +151,8 @@ impl Window {
                     window.cells.push(Neighbour {
                         at: window.centroid(index, cell),
                         seen_from: cell.visible.range.middle(),
-                        weight: f64::from(cell.occupancy.min(4)),
+                        weight: f64::from(cell.occupancy.min(WEIGHT)),
+                        is_solid: is_solid(cell),
                     });
                 }
             }
@@ -142,14 +160,14 @@ impl Window {
         window
     }
 
-    /// The surface through a cell, from the cells around it that were seen from about the same direction: the
-    /// patch of 0.8 m, or more of it along the line as far as it stays flat.
-    pub fn surface(&self, index: CellIndex, cell: &Cell) -> Option<Line> {
+    /// The surface through a cell, from the cells around it that were seen from the same direction, give or take
+    /// `same_view` (units of [`Angle`]): the patch of 0.8 m, or more of it along the line as far as it stays flat.
+    pub fn surface(&self, index: CellIndex, cell: &Cell, same_view: u32) -> Option<Line> {
         let origin = self.centroid(index, cell);
         let seen_from = cell.visible.range.middle();
         let (sin, cos) = seen_from.rad().sin_cos();
         let mut moments = Moments::default();
-        for neighbour in self.near(index, seen_from) {
+        for neighbour in self.near(index, seen_from, same_view) {
             let to = [neighbour.at[0] - origin[0], neighbour.at[1] - origin[1]];
             let (depth, across) = (to[0] * cos + to[1] * sin, to[1] * cos - to[0] * sin);
             if depth.abs() <= PATCH_DEPTH && across.abs() <= PATCH_HALF {
@@ -158,13 +176,31 @@ impl Window {
         }
         let patch = moments.line(origin)?;
         let long = self
-            .lengthened(&patch, origin, seen_from)
+            .lengthened(&patch, origin, seen_from, same_view)
             .filter(|long| long.is_flat() && long.length > patch.length);
-        Some(long.unwrap_or(patch))
+        let line = long.unwrap_or(patch);
+        Some(Line { share: self.share(&line, index, seen_from), ..line })
+    }
+
+    /// See [`Line::share`].
+    fn share(&self, line: &Line, index: CellIndex, seen_from: Angle) -> f32 {
+        let (sin, cos) = f64::from(line.normal).sin_cos();
+        let [x, y] = line.at.map(f64::from);
+        let (mut on, mut off) = (0.0, 0.0);
+        for neighbour in self.near(index, seen_from, units(SAME_VIEW)) {
+            let distance = ((neighbour.at[0] - x) * cos + (neighbour.at[1] - y) * sin).abs();
+            if distance <= ON_LINE {
+                on += neighbour.weight;
+            } else if distance <= CLUTTER && !neighbour.is_solid {
+                off += neighbour.weight;
+            }
+        }
+        // Where its own cell is not on the line, there may be nothing at all.
+        if on > 0.0 { (on / (on + off)) as f32 } else { 0.0 }
     }
 
     /// The line through what lies along a patch, on both sides as far as the row does not break off.
-    fn lengthened(&self, patch: &Line, origin: [f64; 2], seen_from: Angle) -> Option<Line> {
+    fn lengthened(&self, patch: &Line, origin: [f64; 2], seen_from: Angle, same_view: u32) -> Option<Line> {
         if !patch.is_flat() {
             return None;
         }
@@ -182,7 +218,7 @@ impl Window {
                     let Some(neighbour) = self.at(CellIndex::of(point[0], point[1], self.resolution)) else {
                         continue;
                     };
-                    if neighbour.seen_from.distance(seen_from) <= units(SAME_VIEW) {
+                    if neighbour.seen_from.distance(seen_from) <= same_view {
                         moments.add(
                             [neighbour.at[0] - origin[0], neighbour.at[1] - origin[1]],
                             neighbour.weight,
@@ -214,10 +250,10 @@ impl Window {
         self.slot(index).and_then(|slot| self.cells.get(usize::from(self.slots[slot])))
     }
 
-    fn near(&self, index: CellIndex, seen_from: Angle) -> impl Iterator<Item = &Neighbour> {
+    fn near(&self, index: CellIndex, seen_from: Angle, same_view: u32) -> impl Iterator<Item = &Neighbour> {
         (-PATCH..=PATCH)
             .flat_map(|dy| (-PATCH..=PATCH).map(move |dx| (dx, dy)))
             .filter_map(move |(dx, dy)| self.at(CellIndex { x: index.x + dx, y: index.y + dy }))
-            .filter(move |neighbour| neighbour.seen_from.distance(seen_from) <= units(SAME_VIEW))
+            .filter(move |neighbour| neighbour.seen_from.distance(seen_from) <= same_view)
     }
 }

@@ -11,7 +11,7 @@ use super::{
     angle::units,
     cell::Cell,
     reflection::{self, Image, Opacity},
-    surface::{Line, Window},
+    surface::{Line, OF_PILLAR, OF_PLANE, Window},
     tiles::CellIndex,
     visagge::{Evidence, Visagge},
 };
@@ -61,12 +61,22 @@ pub(super) struct Judgement {
 
 /// Occupancy below which a cell is a random reading: they come once in a thousand beams (paper III-B).
 const LEAST_HITS: u8 = 2;
-/// Least length of a surface (m). A leg is 12 cm thick, two of them side by side 30.
-const LEAST_LENGTH: f32 = 0.4;
-/// Most that the normal may differ from the middle of the view angles (rad): 8 degrees. Glass is seen
-/// within 1 to 2 degrees of its normal where something stands behind it (paper, Fig. 7), and the line
-/// through a patch is uncertain by some degrees.
-const NORMAL: f64 = 0.14;
+/// Least length of a surface (m): two legs of 12 cm side by side.
+const LEAST_LENGTH: f32 = 0.3;
+/// Least share of what was seen from there, somewhat before and behind it, that lies on a surface. Before a pane there is
+/// nothing, and behind it seldom anything as near; a person's legs swing to and fro.
+const LEAST_SHARE: f32 = 0.85;
+/// Most that the normal may lie off the middle of the view angles, and outside of them (rad): 8 and 5 degrees. Glass is seen within
+/// 1 to 2 degrees of its normal where something stands behind it (paper, Fig. 7), and the line through 0.3 m with a spread of
+/// 2 cm is uncertain by 4 degrees.
+const OFF_SHORT: [f64; 2] = [0.14, 0.087];
+/// The same for surfaces too long and straight to be anybody's legs: 21 and 15 degrees. Dust is seen over tens of degrees
+/// (paper, Fig. 6) on both sides of the normal, where the robot's own image and what is behind outshine it.
+const OFF_LONG: [f64; 2] = [0.36, 0.26];
+/// A surface is long from here on (m): what somebody walks in a second.
+const LONG: f32 = 1.2;
+/// And straight up to this spread (m): ranges and poses alone.
+const STRAIGHT: f32 = 0.02;
 
 /// Something is seen through a surface, or in it, that was missed over at least this range (rad): 1 degree. Less is a
 /// wall at grazing incidence.
@@ -172,7 +182,15 @@ impl Visagge {
         for (cell, judgement) in evidence.cells.iter().zip(&mut evidence.judgements) {
             // What was never missed is solid and nothing is seen through it: its surface does not matter.
             let matters = cell.occupancy >= LEAST_HITS && (cell.widest_missed > 0 || cell.was_crossed);
-            let line = if matters { window.surface(cell.index(place), cell) } else { None };
+            let line = if matters {
+                let index = cell.index(place);
+                let plane = window.surface(index, cell, units(OF_PLANE));
+                plane
+                    .filter(|line| explains(line, cell))
+                    .or_else(|| window.surface(index, cell, units(OF_PILLAR)))
+            } else {
+                None
+            };
             *judgement = Judgement { line, shape: shape(cell, line.as_ref()), ..Judgement::default() };
             let [column, row] = cell.place;
             if judgement.shape.is_shown() {
@@ -188,23 +206,36 @@ impl Visagge {
     }
 }
 
+/// Whether the cell returned whenever it could, or nearly so.
+pub(super) fn is_solid(cell: &Cell) -> bool {
+    let width = u32::from(cell.visible.range.width);
+    width >= 2 * u32::from(cell.widest_missed)
+        && (!cell.was_crossed || width >= units(WIDE) || cell.lasted() >= LASTING)
+}
+
+/// Whether a surface along this line would be seen from where the cell was seen, and hardly from elsewhere.
+fn explains(line: &Line, cell: &Cell) -> bool {
+    let off = line.off_normal(cell.visible.range.middle().rad());
+    let beyond = off - cell.visible.range.width_rad() / 2.0;
+    let [most, most_beyond] = if line.length >= LONG && line.rms <= STRAIGHT { OFF_LONG } else { OFF_SHORT };
+    line.length >= LEAST_LENGTH
+        && line.is_flat()
+        && line.share >= LEAST_SHARE
+        && off <= most
+        && beyond <= most_beyond
+}
+
 fn shape(cell: &Cell, line: Option<&Line>) -> Verdict {
     if cell.occupancy < LEAST_HITS {
         return Verdict::TooFew;
     }
-    let width = u32::from(cell.visible.range.width);
-    if width >= 2 * u32::from(cell.widest_missed)
-        && (!cell.was_crossed || width >= units(WIDE) || cell.lasted() >= LASTING)
-    {
+    if is_solid(cell) {
         return Verdict::Solid;
     }
     if cell.passes > 0 {
         return Verdict::Repeated;
     }
-    let seen_from = cell.visible.range.middle().rad();
-    let explains =
-        |line: &Line| line.length >= LEAST_LENGTH && line.is_flat() && line.off_normal(seen_from) <= NORMAL;
-    if line.is_some_and(explains) { Verdict::Surface } else { Verdict::NoSurface }
+    if line.is_some_and(|line| explains(line, cell)) { Verdict::Surface } else { Verdict::NoSurface }
 }
 
 #[cfg(test)]
