@@ -42,4 +42,5 @@ pub mod record;
 pub mod recover;
 pub mod replay;
 pub mod report;
+pub mod saved;
 pub mod scan;

@@ -6,6 +6,7 @@ pub mod free;
 mod lanes;
 pub mod ray;
 mod reflection;
+pub mod saved;
 mod single_pass;
 mod snapshot;
 pub mod standard;
