@@ -6,10 +6,16 @@
 //! the scans are [located](crate::localize) by what was seen before, with odometry as a guide where it comes.
 
 use crate::{
-    grid::{Grid, sweep::Sweep, visagge::VisaggeSettings},
-    localize::{Doubt, LocalizeSettings, Localizer, Tracking, Wheels},
+    grid::{
+        Grid,
+        saved::BadGrid,
+        sweep::Sweep,
+        visagge::{Visagge, VisaggeSettings},
+    },
+    localize::{Doubt, LocalizeSettings, Localizer, Tracking, Wheels, known::matching_map},
     map::Map,
     pose::{NoPose, Pose, PoseBuffer, StampedPose, pose},
+    saved::{Misfit, SavedMap},
     scan::Scan,
 };
 use hdrhistogram::Histogram;
@@ -167,6 +173,17 @@ pub enum Outcome {
     },
 }
 
+/// Why a mapper cannot go on in a saved map.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum GoingOnError {
+    /// The settings are for another one.
+    #[error(transparent)]
+    Misfit(#[from] Misfit),
+    /// It is none.
+    #[error(transparent)]
+    Grid(#[from] BadGrid),
+}
+
 /// How well the place was known.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LocalizeReport {
@@ -176,14 +193,33 @@ pub struct LocalizeReport {
     pub scans: BTreeMap<Tracking, u64>,
     /// Times that the place was lost.
     pub lost: u64,
-    /// Times that it was found again.
+    /// Times that it was found again, or at all in a map that was loaded.
     pub found: u64,
+    /// Searches after which several places were as good as each other, so that none was taken.
+    pub ambiguous: u64,
+    /// Whether the last search was one of these.
+    #[serde(skip)]
+    pub searched_in_vain: bool,
     /// Covariance of the last pose: xx, xy, xa, yy, ya, aa (m2, m rad, rad2).
     pub covariance: [f64; 6],
     /// CPU time of locating one scan (us).
     pub match_us: InsertTime,
     /// Memory that the matching maps hold (bytes).
     pub bytes: usize,
+}
+
+impl LocalizeReport {
+    /// How well the place is known, to be put behind a line that says what is mapped; nothing where all is well.
+    pub fn in_words(&self) -> &'static str {
+        match self.state {
+            Tracking::Starting | Tracking::Tracking => "",
+            Tracking::Degraded => ", the scans fit badly",
+            Tracking::Lost if self.searched_in_vain => {
+                ", place not known: it looks like several places of the map"
+            }
+            Tracking::Lost => ", place not known: searching the map",
+        }
+    }
 }
 
 /// CPU time of insertions (us).
@@ -204,8 +240,10 @@ pub struct InsertTime {
 pub struct MapperReport {
     /// Scans that came.
     pub scans_read: u64,
-    /// Scans in the map.
+    /// Scans that were put into the map.
     pub scans_inserted: u64,
+    /// Scans that were in it already when it was loaded.
+    pub scans_loaded: u64,
     /// Scans that are not, by reason.
     pub scans_skipped: BTreeMap<SkipReason, u64>,
     /// Scans that the numbers of those that came show to be missing.
@@ -250,6 +288,8 @@ pub struct Mapper {
     insert_ns: Histogram<u64>,
     read: u64,
     inserted: u64,
+    /// By earlier runs in the same map.
+    inserted_before: u64,
     skipped: BTreeMap<SkipReason, u64>,
     missing: u64,
     poses_read: u64,
@@ -259,9 +299,33 @@ pub struct Mapper {
 impl Mapper {
     /// A mapper with an empty map.
     pub fn new(settings: MapperSettings) -> Mapper {
+        let localizer = Localizer::new(settings.localize.clone(), settings.mount.pose());
+        Mapper::with(Grid::new(&settings), localizer, settings)
+    }
+
+    /// A mapper that goes on in a map that was saved. Poses that are given are taken for poses in it; where scans are
+    /// matched, none is inserted until its place has been found.
+    ///
+    /// # Errors
+    /// Where the map [does not fit](SavedMap::fits) the settings, or is none.
+    pub fn going_on(saved: &SavedMap, settings: MapperSettings) -> Result<Mapper, GoingOnError> {
+        saved.fits(&settings)?;
+        let mut grid = Visagge::load(&saved.grid, settings.visagge.clone())?;
+        let (localize, mount) = (settings.localize.clone(), settings.mount.pose());
+        // A map of nothing holds no place to be found.
+        let localizer = if saved.scans > 0 {
+            Localizer::in_known(localize, mount, matching_map(&grid.known(), grid.resolution()))
+        } else {
+            Localizer::new(localize, mount)
+        };
+        let mapper = Mapper::with(Grid::Visagge(Box::new(grid)), localizer, settings);
+        Ok(Mapper { inserted_before: saved.scans, ..mapper })
+    }
+
+    fn with(grid: Grid, localizer: Localizer, settings: MapperSettings) -> Mapper {
         Mapper {
-            grid: Grid::new(&settings),
-            matching: (settings.poses == PoseUse::Odometry).then(|| Matching::new(&settings)),
+            grid,
+            matching: (settings.poses == PoseUse::Odometry).then(|| Matching::new(localizer)),
             settings,
             poses: PoseBuffer::default(),
             waiting: VecDeque::new(),
@@ -270,6 +334,7 @@ impl Mapper {
             insert_ns: times(),
             read: 0,
             inserted: 0,
+            inserted_before: 0,
             skipped: BTreeMap::new(),
             missing: 0,
             poses_read: 0,
@@ -322,11 +387,22 @@ impl Mapper {
         self.grid.map()
     }
 
+    /// Scans that were put into the map so far.
+    pub fn scans_inserted(&self) -> u64 {
+        self.inserted
+    }
+
+    /// All that the grid knows, for the next run; `None` for the grids that are for comparison.
+    pub fn save(&self) -> Option<SavedMap> {
+        self.grid.save().map(|grid| SavedMap::new(grid, self.inserted_before + self.inserted))
+    }
+
     /// What was done so far.
     pub fn report(&self) -> MapperReport {
         MapperReport {
             scans_read: self.read,
             scans_inserted: self.inserted,
+            scans_loaded: self.inserted_before,
             scans_skipped: self.skipped.clone(),
             scans_missing: self.missing,
             poses_read: self.poses_read,
@@ -448,9 +524,9 @@ impl Mapper {
 }
 
 impl Matching {
-    fn new(settings: &MapperSettings) -> Matching {
+    fn new(localizer: Localizer) -> Matching {
         Matching {
-            localizer: Localizer::new(settings.localize.clone(), settings.mount.pose()),
+            localizer,
             is_silent: false,
             scans: BTreeMap::new(),
             lost: 0,
@@ -478,6 +554,8 @@ impl Matching {
             scans: self.scans.clone(),
             lost: self.lost,
             found: self.found,
+            ambiguous: self.localizer.ambiguous(),
+            searched_in_vain: self.localizer.is_ambiguous(),
             covariance: self.covariance,
             match_us: InsertTime::of(&self.time_ns),
             bytes: self.localizer.bytes(),

@@ -45,7 +45,9 @@ pub enum Damage {
     #[error("this is no map that visagged saved: it does not begin with \"VISAGGE\"")]
     Foreign,
     /// Of another version.
-    #[error("it was saved in format {0}, and this version reads format {VERSION}: use the version that saved it")]
+    #[error(
+        "it was saved in format {0}, and this version reads format {VERSION}: use the version that saved it"
+    )]
     Version(u32),
     /// Cut off, or bytes have changed.
     #[error(
@@ -194,7 +196,8 @@ impl SavedMap {
         let Some((header, frame)) = bytes.split_first_chunk::<HEADER>() else {
             return Err(Damage::Short(bytes.len()));
         };
-        let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
+        let word =
+            |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
         let version = word(8);
         if version != VERSION {
             return Err(Damage::Version(version));
@@ -207,8 +210,8 @@ impl SavedMap {
         if length > LONGEST {
             return Err(Damage::Content(format!("{length} bytes are more than any map has")));
         }
-        let content =
-            zstd::bulk::decompress(frame, length as usize).map_err(|error| Damage::Content(error.to_string()))?;
+        let content = zstd::bulk::decompress(frame, length as usize)
+            .map_err(|error| Damage::Content(error.to_string()))?;
         let (map, rest) = postcard::take_from_bytes::<Self>(&content)
             .map_err(|error| Damage::Content(error.to_string()))?;
         if !rest.is_empty() {
@@ -227,6 +230,15 @@ fn checksum(bytes: &[u8]) -> u32 {
     hasher.finalize()
 }
 
+/// A map that was read.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    /// The map.
+    pub map: SavedMap,
+    /// The file's bytes.
+    pub bytes: Vec<u8>,
+}
+
 /// A file that holds a map from run to run.
 #[derive(Clone, Debug)]
 pub struct MapFile {
@@ -236,7 +248,7 @@ pub struct MapFile {
 }
 
 impl MapFile {
-    /// Looks whether the map can be saved there, and reads it where there is one and `fresh` is not wanted; with its bytes.
+    /// Looks whether the map can be saved there, and reads it where there is one and `fresh` is not wanted.
     ///
     /// # Errors
     /// Where the map is not for these settings, or is none; where the folder is not to be written to.
@@ -244,7 +256,7 @@ impl MapFile {
         path: &Path,
         fresh: bool,
         settings: &MapperSettings,
-    ) -> Result<(Self, Option<(SavedMap, Vec<u8>)>), LoadError> {
+    ) -> Result<(Self, Option<Loaded>), LoadError> {
         let io = |error| LoadError::Io { path: path.to_owned(), error };
         // So that a long run does not find out at its end.
         aside(path).map_err(io)?;
@@ -261,7 +273,7 @@ impl MapFile {
         let map = SavedMap::decode(&bytes)
             .map_err(|damage| LoadError::Damaged { path: path.to_owned(), damage })?;
         map.fits(settings).map_err(|misfit| LoadError::Misfit { path: path.to_owned(), misfit })?;
-        Ok((Self { path: path.to_owned(), moves_former: false }, Some((map, bytes))))
+        Ok((Self { path: path.to_owned(), moves_former: false }, Some(Loaded { map, bytes })))
     }
 
     /// Where it is.
@@ -299,7 +311,11 @@ fn aside(path: &Path) -> io::Result<tempfile::NamedTempFile> {
     use std::os::unix::fs::PermissionsExt;
     // As any other new file: the umask takes away what it takes away.
     let readable = std::fs::Permissions::from_mode(0o666);
-    tempfile::Builder::new().prefix(".visagged-").suffix(".part").permissions(readable).tempfile_in(folder(path))
+    tempfile::Builder::new()
+        .prefix(".visagged-")
+        .suffix(".part")
+        .permissions(readable)
+        .tempfile_in(folder(path))
 }
 
 #[cfg(test)]
@@ -352,7 +368,7 @@ mod tests {
         assert!(none.is_none() && !path.exists(), "to look makes nothing");
         file.save(&map()).unwrap();
         let (_, loaded) = MapFile::open(&path, false, &settings).unwrap();
-        assert_eq!(loaded.unwrap().0, map());
+        assert_eq!(loaded.unwrap().map, map());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing else is left");
     }
 

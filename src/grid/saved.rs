@@ -188,7 +188,7 @@ impl SavedGrid {
         let all = self.tiles.len();
         let middle = self.middle.unwrap_or_default();
         let is_number = middle.iter().all(|at| at.is_finite()) && self.way.is_finite();
-        if !is_number || !(self.resolution > 0.0 && self.resolution.is_finite()) {
+        if !(is_number && self.resolution > 0.0 && self.resolution.is_finite()) {
             return bad(all, "a number is none");
         }
         if self.scan > MOST_SCANS || !(0..=MOST_NS).contains(&self.elapsed_ns) {
@@ -232,10 +232,7 @@ impl Visagge {
         let tiles = self.tiles.iter().map(|(place, tile)| SavedTile {
             place: [place.x, place.y],
             free: tile.free.to_vec(),
-            cells: tile
-                .evidence
-                .as_ref()
-                .map(|evidence| evidence.cells.iter().map(SavedCell::of).collect()),
+            cells: tile.evidence.as_ref().map(|evidence| evidence.cells.iter().map(SavedCell::of).collect()),
         });
         SavedGrid {
             resolution: self.resolution,
@@ -336,7 +333,10 @@ mod tests {
             assert!(after.save() == going_on.save(), "{gap}");
             assert!(after.map() == going_on.map(), "{gap}");
             assert!(going_on.map().occupancy.iter().filter(|cell| **cell == 100).count() > 20);
-            assert!(going_on.cells().any(|(_, cell)| cell.passes > 0), "something was seen, missed and seen again");
+            assert!(
+                going_on.cells().any(|(_, cell)| cell.passes > 0),
+                "something was seen, missed and seen again"
+            );
         }
     }
 
@@ -350,7 +350,8 @@ mod tests {
             insert(&mut grid, scan, *at);
             insert(&mut paused, scan, *at);
         }
-        let widths = |grid: &Visagge| grid.cells().map(|(_, cell)| u64::from(cell.visible.range.width)).sum::<u64>();
+        let widths =
+            |grid: &Visagge| grid.cells().map(|(_, cell)| u64::from(cell.visible.range.width)).sum::<u64>();
         assert!(widths(&paused) < widths(&grid));
     }
 

@@ -2,6 +2,7 @@
 
 mod drive;
 mod error;
+mod put_down;
 
 use anyhow::Result;
 use clap::Parser;
@@ -44,6 +45,15 @@ struct Arguments {
     /// Grid that is kept meanwhile.
     #[arg(long, default_value = "standard", value_parser = ["visagge", "standard"])]
     mapper: String,
+    /// Instead of all that: put a robot down at so many random places of each world's map, to find out where it is.
+    #[arg(long, value_name = "PLACES")]
+    put_down: Option<u32>,
+    /// Seconds that it may take to; it stands for a second and then drives.
+    #[arg(long, default_value_t = 20.0)]
+    seconds: f64,
+    /// Let it stand all the time.
+    #[arg(long)]
+    stand: bool,
     /// Folder for the trajectories in TUM format, for evo: NAME.tum and NAME.truth.tum.
     #[arg(long)]
     tum: Option<PathBuf>,
@@ -51,6 +61,15 @@ struct Arguments {
 
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
+    if let Some(places) = arguments.put_down {
+        return put_down::run(
+            &arguments.worlds,
+            &arguments.seeds,
+            places,
+            arguments.seconds,
+            arguments.stand,
+        );
+    }
     let trouble = Trouble {
         lost_scans: arguments.lost_scans,
         random_returns: arguments.random_returns,
