@@ -119,6 +119,10 @@ pub struct ReplayArgs {
     /// Begin an empty map although there is one; that of --map becomes FILE.former.
     #[arg(long)]
     pub fresh: bool,
+    /// Close loops: a first pass locates all scans and finds where the drive came back, a second one maps them where they then
+    /// belong. What is good already is not touched.
+    #[arg(long, conflicts_with_all = ["map", "fresh"])]
+    pub optimize: bool,
     /// Write explain.png too: why each cell is shown (black solid, blue a surface visible near its normal, green seen
     /// again, light blue in a gap) or not (sand too few returns, red somebody who moved, violet an image in a mirror or pane).
     #[arg(long)]

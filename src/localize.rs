@@ -5,7 +5,9 @@
 //! own; they are not the map that is shown. Sources: Hess et al. 2016 (submaps, search by branch and bound), Olson
 //! 2009 (correlation), Censi 2008 (points against lines).
 
+pub mod graph;
 pub mod known;
+pub mod loops;
 pub mod matcher;
 pub mod motion;
 pub mod points;

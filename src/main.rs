@@ -192,6 +192,7 @@ fn replay_files(args: &ReplayArgs) -> Result<ExitCode, Failure> {
         ignore_beams: args.ignore_beams.clone(),
         map: args.map.clone(),
         fresh: args.fresh,
+        optimize: args.optimize,
     };
     let mut outputs = Outputs::create(&args.out).map_err(io)?;
     let mut output_error = None;
@@ -216,7 +217,8 @@ fn replay_files(args: &ReplayArgs) -> Result<ExitCode, Failure> {
         warn!("{}: not readable from byte {}: {}", damage.file.display(), damage.offset, damage.what);
     }
     let map = replayed.mapper.map();
-    let mapper = replayed.mapper.report();
+    let mut mapper = replayed.mapper.report();
+    mapper.localization = mapper.localization.or(replayed.localization.take());
     info!(
         "{} of {} scans are in the map, {:.0} us each; {:.1} s in all",
         mapper.scans_inserted,

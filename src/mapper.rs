@@ -361,6 +361,21 @@ impl Mapper {
         self.take_waiting(now_ns);
     }
 
+    /// Takes in a scan of which somebody else has found out where it was taken (base_link at its first and last beam), or why
+    /// it is not to be inserted.
+    pub fn on_located(&mut self, mut scan: Scan, at: Result<(Pose, Pose), SkipReason>) {
+        self.read += 1;
+        if let Some((seq, _)) = self.last {
+            self.missing += scan.seq.saturating_sub(seq + 1);
+        }
+        self.last = Some((scan.seq, scan.stamp_ns));
+        self.prepare(&mut scan);
+        match at {
+            Ok((start, end)) => self.insert(&scan, start, end, None),
+            Err(reason) => self.skip(&scan, reason),
+        }
+    }
+
     /// Takes in a pose of base_link.
     pub fn on_pose(&mut self, pose: StampedPose) {
         self.poses_read += 1;
@@ -414,7 +429,7 @@ impl Mapper {
     }
 
     /// Brings the beams into the sense of the robot and blanks those that show the robot itself.
-    fn prepare(&self, scan: &mut Scan) {
+    pub(crate) fn prepare(&self, scan: &mut Scan) {
         if self.settings.mount.upside_down {
             scan.geometry.angle_min = -scan.geometry.angle_min;
             scan.geometry.angle_increment = -scan.geometry.angle_increment;

@@ -2,10 +2,12 @@
 //!
 //! Not the map's files, which the caller writes, and not the formats, which are in `input`.
 
+mod optimize;
+
 use std::path::PathBuf;
 
 use crate::input::{self, InputError, InputOptions, InputReport, Sink};
-use crate::mapper::{GoingOnError, Mapper, MapperKind, MapperSettings, Mount, Outcome};
+use crate::mapper::{GoingOnError, LocalizeReport, Mapper, MapperKind, MapperSettings, Mount, Outcome};
 use crate::pose::StampedPose;
 use crate::saved::{LoadError, MapFile, SavedMap};
 use crate::scan::Scan;
@@ -27,6 +29,8 @@ pub struct ReplayOptions {
     pub map: Option<PathBuf>,
     /// Whether to begin an empty map in any case.
     pub fresh: bool,
+    /// Whether to close the drive's loops, in a second pass; the map begins empty then.
+    pub optimize: bool,
 }
 
 /// Why a replay ended without a map.
@@ -71,6 +75,8 @@ pub struct Replay {
     pub settings: MapperSettings,
     /// What was read.
     pub input: InputReport,
+    /// How the scans were located where another pass did it.
+    pub localization: Option<Box<LocalizeReport>>,
     /// Where the map is to be saved, if it is.
     pub map_file: Option<MapFile>,
 }
@@ -85,6 +91,9 @@ pub fn run(
     on_outcome: &mut dyn FnMut(Outcome),
     on_progress: &mut dyn FnMut(Progress),
 ) -> Result<Replay, ReplayError> {
+    if options.optimize {
+        return optimize::run(options, on_outcome, on_progress);
+    }
     let mut report = InputReport::default();
     let mut source = input::open(&options.inputs, &options.input, &mut report)?;
     let settings = settings(options, source.as_ref())?;
@@ -101,7 +110,7 @@ pub fn run(
     feeder.mapper.finish();
     feeder.give_outcomes();
     feeder.progress(total);
-    Ok(Replay { mapper: feeder.mapper, settings, input: report, map_file })
+    Ok(Replay { mapper: feeder.mapper, localization: None, settings, input: report, map_file })
 }
 
 /// A mapper in the map that it is to go on in, or else an empty one; and where it is to be saved.
