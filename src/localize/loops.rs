@@ -16,7 +16,7 @@ use super::submap::{Submap, index};
 use super::{free, search};
 use crate::pose::{Pose, interpolate};
 use nalgebra::{Matrix3, Vector3};
-use std::collections::HashSet;
+use std::{collections::HashSet, fmt};
 
 /// Way and turn between two scans that are put into a segment (m, rad).
 const KEY: [f64; 2] = [0.15, 0.15];
@@ -108,6 +108,27 @@ pub enum Loops {
     },
     /// The drive is to be bent.
     Bent(Correction),
+}
+
+impl fmt::Display for Loops {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let out = |[place, turn]: [f64; 2]| format!("{place:.2} m, {:.1} degrees", turn.to_degrees());
+        match self {
+            Loops::None => f.write_str("no loop was found that is sure: the poses are as they were located"),
+            Loops::Good { closures, out: most } => write!(
+                f,
+                "the drive came back {closures} times and was out by {} at most: nothing is moved",
+                out(*most)
+            ),
+            Loops::Bent(correction) => write!(
+                f,
+                "the drive came back {} times and was out by {} at most, now by {}",
+                correction.closures,
+                out(correction.out),
+                out(correction.left)
+            ),
+        }
+    }
 }
 
 impl Drive {

@@ -55,7 +55,7 @@ pub(super) fn run(
 
     let mut report = InputReport::default();
     let mut source = input::open(&options.inputs, &options.input, &mut report)?;
-    report.note(in_words(&loops));
+    report.note(loops.to_string());
     let given = MapperSettings { poses: PoseUse::Map, ..settings.clone() };
     let mut placed = Placed {
         feeder: Feeder {
@@ -74,23 +74,6 @@ pub(super) fn run(
     feeder.progress(total);
     let localization = first.report().localization;
     Ok(Replay { mapper: feeder.mapper, localization, settings, input: report, map_file: None })
-}
-
-fn in_words(loops: &Loops) -> String {
-    let out = |[place, turn]: [f64; 2]| format!("{place:.2} m, {:.1} degrees", turn.to_degrees());
-    match loops {
-        Loops::None => "no loop was found that is sure: the poses are as they were located".to_owned(),
-        Loops::Good { closures, out: most } => format!(
-            "the drive came back {closures} times and was out by {} at most: nothing is moved",
-            out(*most)
-        ),
-        Loops::Bent(correction) => format!(
-            "the drive came back {} times and was out by {} at most, now by {}",
-            correction.closures,
-            out(correction.out),
-            out(correction.left)
-        ),
-    }
 }
 
 /// First pass.

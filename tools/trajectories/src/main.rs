@@ -11,8 +11,13 @@ use error::{TrajectoryError, error};
 use scipsim::World;
 use std::{io::Write, path::Path, path::PathBuf};
 use visagged::{
+    localize::{
+        LocalizeSettings,
+        loops::{self, Loops},
+        points::Points,
+    },
     mapper::{Mapper, MapperKind, MapperReport, MapperSettings, Outcome, PoseUse},
-    pose::{Pose, PoseBuffer},
+    pose::{Pose, PoseBuffer, interpolate},
 };
 
 /// Measures trajectories on simulated drives.
@@ -45,6 +50,9 @@ struct Arguments {
     /// Grid that is kept meanwhile.
     #[arg(long, default_value = "standard", value_parser = ["visagge", "standard"])]
     mapper: String,
+    /// Close the loops afterwards, as `visagged replay --optimize` does, and print a second line for each.
+    #[arg(long)]
+    optimize: bool,
     /// Instead of all that: put a robot down at so many random places of each world's map, to find out where it is.
     #[arg(long, value_name = "PLACES")]
     put_down: Option<u32>,
@@ -89,6 +97,11 @@ fn main() -> Result<()> {
                 let label = format!("{} {seed}", Path::new(name).file_stem().unwrap_or_default().display());
                 let run = Run::of(&drive, mode, &arguments.mapper);
                 run.print(&label, mode);
+                if arguments.optimize {
+                    let (closed, words) = run.closed(&drive);
+                    closed.print(&label, "closed");
+                    println!("    {words}");
+                }
                 if let Some(folder) = &arguments.tum {
                     run.write(folder, &format!("{}-{mode}", label.replace(' ', "-")))?;
                 }
@@ -99,10 +112,13 @@ fn main() -> Result<()> {
 }
 
 /// What one way of localization made of a drive.
+#[derive(Clone)]
 struct Run {
     /// Moments (ns), estimated and true poses.
     stamps_ns: Vec<i64>,
     pairs: Vec<(Pose, Pose)>,
+    /// Number of the scan of each pair, and its pose as it was found.
+    located: Vec<(usize, Pose)>,
     report: Option<MapperReport>,
 }
 
@@ -117,11 +133,12 @@ impl Run {
     fn of_wheels(drive: &Drive) -> Run {
         let mut odometry = PoseBuffer::default();
         drive.odometry.iter().for_each(|pose| _ = odometry.push(*pose));
-        let known = drive.scans.iter().zip(&drive.truth).filter_map(|(scan, truth)| {
-            Some((scan.stamp_ns, (odometry.at(scan.stamp_ns, i64::MAX).ok()?, *truth)))
+        let known = drive.scans.iter().zip(&drive.truth).enumerate().filter_map(|(number, (scan, truth))| {
+            let pose = odometry.at(scan.stamp_ns, i64::MAX).ok()?;
+            Some((scan.stamp_ns, ((pose, *truth), (number, pose))))
         });
-        let (stamps_ns, pairs) = known.unzip();
-        Run { stamps_ns, pairs, report: None }
+        let (stamps_ns, (pairs, located)) = known.unzip();
+        Run { stamps_ns, pairs, located, report: None }
     }
 
     fn of_matching(drive: &Drive, with_odometry: bool, grid: &str) -> Run {
@@ -132,12 +149,13 @@ impl Run {
         let mut odometry = drive.odometry.iter().filter(|_| with_odometry).peekable();
         // Without odometry the map begins at the first pose that was found.
         let first = if with_odometry { Pose::identity() } else { drive.truth[0] };
-        let (mut stamps_ns, mut pairs, mut next) = (Vec::new(), Vec::new(), 0);
+        let (mut stamps_ns, mut pairs, mut located, mut next) = (Vec::new(), Vec::new(), Vec::new(), 0);
         let mut take = |mapper: &mut Mapper| {
             while let Some(outcome) = mapper.next_outcome() {
                 if let Outcome::Inserted { stamp_ns, start, .. } = outcome {
                     stamps_ns.push(stamp_ns);
                     pairs.push((first * start, drive.truth[next]));
+                    located.push((next, start));
                 }
                 next += 1;
             }
@@ -151,7 +169,45 @@ impl Run {
         }
         mapper.finish();
         take(&mut mapper);
-        Run { stamps_ns, pairs, report: Some(mapper.report()) }
+        Run { stamps_ns, pairs, located, report: Some(mapper.report()) }
+    }
+
+    /// The same with its loops closed, and what was closed.
+    fn closed(&self, drive: &Drive) -> (Run, String) {
+        let mount = drive.mount.pose();
+        let mut loops = loops::Drive::default();
+        let poses = self.located.iter().map(|(_, pose)| pose);
+        let next = poses.clone().skip(1).chain(poses.clone().last());
+        let ways: Vec<f64> = self
+            .located
+            .iter()
+            .zip(next)
+            .map(|((number, start), next)| {
+                let scan = &drive.scans[*number];
+                // The next scan begins a third later than this one ends.
+                let end = interpolate(start, next, 0.75);
+                let middle = interpolate(start, &end, 0.5) * mount;
+                loops.add(&middle, || {
+                    let own = [*start, end].map(|pose| middle.inverse() * pose * mount);
+                    let settings = LocalizeSettings::default();
+                    let mut points = Points::default();
+                    points.read(scan, own[0], own[1], settings.spacing, settings.points);
+                    points
+                })
+            })
+            .collect();
+        let mut run = Run { report: None, ..self.clone() };
+        let before = std::time::Instant::now();
+        let found = loops.close();
+        let words = format!("{found} ({:.1} s)", before.elapsed().as_secs_f64());
+        if let Loops::Bent(correction) = &found {
+            let pairs = run.pairs.iter_mut().zip(&self.located).zip(&ways);
+            for ((pair, (_, start)), way) in pairs {
+                let first = pair.0 * start.inverse();
+                pair.0 = first * correction.correct(*way, start);
+            }
+        }
+        (run, words)
     }
 
     fn print(&self, label: &str, mode: &str) {
