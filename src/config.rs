@@ -14,7 +14,7 @@ use scip::transport::Address;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::mapper::{MapperSettings, PoseUse};
+use crate::mapper::{Fallback, MapperSettings, PoseUse};
 
 /// All settings.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -106,6 +106,9 @@ pub struct PoseConfig {
     /// map. `match`: each scan is matched with those before; `match+unix:PATH` or `match+udp://HOST:PORT`: the same with
     /// odometry as a guide. `none`. Default: `match`.
     pub source: PoseSource,
+    /// What becomes of scans for which no poses in the map come: `skip`, or `match`: they are matched with what was mapped before,
+    /// until poses come again. Default: `skip`.
+    pub fallback: Fallback,
     /// The frame whose poses are wanted; poses of any other (key `child`) are rejected. Default: `base_link` (REP-105).
     pub child: String,
     /// Poses that are older than this when they arrive are rejected (s, 0.01..=60). Default: 1.
@@ -116,7 +119,13 @@ pub struct PoseConfig {
 
 impl Default for PoseConfig {
     fn default() -> Self {
-        Self { source: PoseSource::default(), child: "base_link".into(), stale_s: 1.0, future_s: 0.1 }
+        Self {
+            source: PoseSource::default(),
+            fallback: Fallback::default(),
+            child: "base_link".into(),
+            stale_s: 1.0,
+            future_s: 0.1,
+        }
     }
 }
 

@@ -206,6 +206,11 @@ impl Localizer {
         self.tracking
     }
 
+    /// Whether a scan was ever located.
+    pub fn has_begun(&self) -> bool {
+        self.motion.is_some()
+    }
+
     /// Memory that the matching maps hold (bytes).
     pub fn bytes(&self) -> usize {
         [&self.current, &self.following]
@@ -247,6 +252,29 @@ impl Localizer {
         self.points.read(scan, start, end, self.settings.spacing, self.settings.points);
         let doubt = self.follow(&mut motion);
         self.finish(motion, start, end, doubt)
+    }
+
+    /// Takes in a scan of which somebody else has told where it was taken (base_link at its first and last beam), so that what
+    /// follows can be matched when that one falls silent.
+    pub fn follow_given(&mut self, scan: &Scan, start: &Pose, end: &Pose) {
+        self.scans += 1;
+        let middle_ns = scan.stamp_ns + (scan.end_ns() - scan.stamp_ns) / 2;
+        let [start, end] = [start, end].map(|pose| pose * self.mount);
+        let at = interpolate(&start, &end, 0.5);
+        let mut motion = self.motion.take().unwrap_or_else(|| Motion::new(middle_ns, at));
+        // Whoever jumps is not moving that fast; and what was matched before is of no use at another place.
+        if !motion.allows(&at) {
+            motion = Motion::new(middle_ns, at);
+        }
+        motion.given(middle_ns, at);
+        (self.wheels, self.tracking, self.probation) = (None, Tracking::Tracking, 0);
+        self.good_ns = middle_ns;
+        if self.is_key(&at) {
+            let own = [start, end].map(|pose| at.inverse() * pose);
+            self.points.read(scan, own[0], own[1], self.settings.spacing, self.settings.points);
+            self.add_key(&at);
+        }
+        self.motion = Some(motion);
     }
 
     /// The first scan makes the map.
@@ -407,18 +435,7 @@ impl Localizer {
         let at = motion.pose;
         let covariance = motion.pose_covariance();
         if doubt.is_none() && self.is_key(&at) {
-            if let Some(last) = self.last_key {
-                self.submap_way += (at.translation.vector - last.translation.vector).norm();
-            }
-            self.last_key = Some(at);
-            if self.submap_way > self.settings.submap_way {
-                self.submap_way = 0.0;
-                let following = std::mem::take(&mut self.following);
-                let left = std::mem::replace(&mut self.current, following);
-                self.keep(left);
-            }
-            self.current.insert(&self.points, &at);
-            self.following.insert(&self.points, &at);
+            self.add_key(&at);
         }
         self.motion = Some(motion);
         let c = |row: usize, column: usize| covariance[(row, column)] * CAUTION * CAUTION;
@@ -427,6 +444,22 @@ impl Localizer {
             doubt,
             ..self.finish_without(at, start, end)
         }
+    }
+
+    /// Adds the points to the matching maps, and begins a new one where it is time to.
+    fn add_key(&mut self, at: &Pose) {
+        if let Some(last) = self.last_key {
+            self.submap_way += (at.translation.vector - last.translation.vector).norm();
+        }
+        self.last_key = Some(*at);
+        if self.submap_way > self.settings.submap_way {
+            self.submap_way = 0.0;
+            let following = std::mem::take(&mut self.following);
+            let left = std::mem::replace(&mut self.current, following);
+            self.keep(left);
+        }
+        self.current.insert(&self.points, at);
+        self.following.insert(&self.points, at);
     }
 
     fn finish_without(&self, at: Pose, start: Pose, end: Pose) -> Located {

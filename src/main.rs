@@ -83,6 +83,7 @@ fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
         _ => None,
     };
     config.mapper.poses = config.pose.source.pose_use();
+    config.mapper.fallback = config.pose.fallback;
     if config.pose.source == PoseSource::None {
         warn!("no scan will be mapped without poses; --pose SRC says where they come from");
     }

@@ -51,6 +51,17 @@ pub enum PoseUse {
     Odometry,
 }
 
+/// What becomes of scans for which no poses in the map come.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Fallback {
+    /// They are not inserted.
+    #[default]
+    Skip,
+    /// They are matched with what was mapped before, until poses come again.
+    Match,
+}
+
 /// Where the scanner is mounted on the robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -90,6 +101,8 @@ pub struct MapperSettings {
     pub pose_gap: f64,
     /// What the poses are that come: map or odometry. Default map; live, `pose.source` decides.
     pub poses: PoseUse,
+    /// What is done with scans for which no poses in the map come. Default skip; live, `pose.fallback` decides.
+    pub fallback: Fallback,
     /// How scans are located, where poses are odometry or there are none.
     pub localize: LocalizeSettings,
     /// What the VisAGGE grid assumes.
@@ -106,6 +119,7 @@ impl Default for MapperSettings {
             pose_wait: 0.5,
             pose_gap: 0.25,
             poses: PoseUse::default(),
+            fallback: Fallback::default(),
             localize: LocalizeSettings::default(),
             visagge: VisaggeSettings::default(),
         }
@@ -197,6 +211,8 @@ pub struct LocalizeReport {
     pub found: u64,
     /// Searches after which several places were as good as each other, so that none was taken.
     pub ambiguous: u64,
+    /// Scans that were matched and inserted because no poses in the map came for them.
+    pub fallen_back: u64,
     /// Whether the last search was one of these.
     #[serde(skip)]
     pub searched_in_vain: bool,
@@ -270,6 +286,7 @@ struct Matching {
     scans: BTreeMap<Tracking, u64>,
     lost: u64,
     found: u64,
+    fallen_back: u64,
     covariance: [f64; 6],
     time_ns: Histogram<u64>,
 }
@@ -325,7 +342,8 @@ impl Mapper {
     fn with(grid: Grid, localizer: Localizer, settings: MapperSettings) -> Mapper {
         Mapper {
             grid,
-            matching: (settings.poses == PoseUse::Odometry).then(|| Matching::new(localizer)),
+            matching: (settings.poses == PoseUse::Odometry || settings.fallback == Fallback::Match)
+                .then(|| Matching::new(localizer)),
             settings,
             poses: PoseBuffer::default(),
             waiting: VecDeque::new(),
@@ -444,7 +462,7 @@ impl Mapper {
 
     /// Decides on the scans that can be decided on at this moment.
     fn take_waiting(&mut self, now_ns: i64) {
-        if self.matching.is_some() {
+        if self.settings.poses == PoseUse::Odometry {
             return self.locate_waiting(now_ns);
         }
         self.insert_waiting();
@@ -497,6 +515,9 @@ impl Mapper {
                 (Err(NoPose::NotYet), _) | (_, Err(NoPose::NotYet)) => return,
                 (Ok(start), Ok(end)) => {
                     let scan = self.waiting.pop_front().expect("it is the front one");
+                    if let Some(matching) = &mut self.matching {
+                        matching.follow_given(&scan, &start, &end);
+                    }
                     self.insert(&scan, start, end, None);
                     continue;
                 }
@@ -505,10 +526,27 @@ impl Mapper {
                 (Err(NoPose::Gap), _) | (_, Err(NoPose::Gap)) => SkipReason::PoseGap,
             };
             let scan = self.waiting.pop_front().expect("it is the front one");
-            self.skip(&scan, reason);
+            self.without_pose(&scan, reason);
         }
         if let Some((_, stamp_ns)) = self.last {
             self.poses.forget_before(stamp_ns);
+        }
+    }
+
+    /// A scan for which there is no pose: matched where that is wanted and something was mapped before, else not inserted.
+    fn without_pose(&mut self, scan: &Scan, reason: SkipReason) {
+        let Some(matching) = self.matching.as_mut().filter(|matching| matching.localizer.has_begun()) else {
+            return self.skip(scan, reason);
+        };
+        let before = cpu_ns();
+        let located = matching.locate(scan, None);
+        matching.time_ns.saturating_record(cpu_ns() - before);
+        match located.doubt {
+            None => {
+                matching.fallen_back += 1;
+                self.insert(scan, located.start, located.end, Some(located.covariance));
+            }
+            Some(doubt) => self.skip(scan, doubt.into()),
         }
     }
 
@@ -517,7 +555,7 @@ impl Mapper {
         let wait_ns = wait_ns(&self.settings);
         while self.waiting.front().is_some_and(|scan| now_ns.saturating_sub(scan.received_ns) > wait_ns) {
             let scan = self.waiting.pop_front().expect("it is the front one");
-            self.skip(&scan, SkipReason::NoPose);
+            self.without_pose(&scan, SkipReason::NoPose);
         }
     }
 
@@ -546,6 +584,7 @@ impl Matching {
             scans: BTreeMap::new(),
             lost: 0,
             found: 0,
+            fallen_back: 0,
             covariance: [0.0; 6],
             time_ns: times(),
         }
@@ -563,6 +602,12 @@ impl Matching {
         located
     }
 
+    /// Somebody else has located a scan.
+    fn follow_given(&mut self, scan: &Scan, start: &Pose, end: &Pose) {
+        self.localizer.follow_given(scan, start, end);
+        *self.scans.entry(Tracking::Tracking).or_default() += 1;
+    }
+
     fn report(&self) -> LocalizeReport {
         LocalizeReport {
             state: self.localizer.tracking(),
@@ -570,6 +615,7 @@ impl Matching {
             lost: self.lost,
             found: self.found,
             ambiguous: self.localizer.ambiguous(),
+            fallen_back: self.fallen_back,
             searched_in_vain: self.localizer.is_ambiguous(),
             covariance: self.covariance,
             match_us: InsertTime::of(&self.time_ns),
@@ -721,6 +767,40 @@ mod tests {
         let report = mapper.report().localization.unwrap();
         assert_eq!((report.state, report.lost), (Tracking::Tracking, 0));
         assert_eq!(report.scans[&Tracking::Tracking], 5);
+    }
+
+    #[test]
+    fn when_poses_stop_scans_are_matched_where_that_is_wanted() {
+        for fallback in [Fallback::Skip, Fallback::Match] {
+            let mut mapper = Mapper::new(MapperSettings { fallback, ..MapperSettings::default() });
+            // Before any pose there is nothing to match with, and no pose to begin at.
+            mapper.on_scan(in_a_room(0, 0));
+            let place = pose(4.0, -3.0, 1.0);
+            for ms in [600, 650, 700, 750] {
+                mapper.on_pose(StampedPose { pose: place, ..at(ms, 0) });
+            }
+            (1..5).for_each(|seq| mapper.on_scan(in_a_room(seq, 590 + 25 * seq as i64)));
+            // No more poses come.
+            (5..60).for_each(|seq| mapper.on_scan(in_a_room(seq, 750 + 25 * seq as i64)));
+            mapper.finish();
+            let mut skipped = 0;
+            while let Some(outcome) = mapper.next_outcome() {
+                match outcome {
+                    Outcome::Inserted { seq, start, covariance, .. } => {
+                        assert_eq!(covariance.is_some(), seq >= 5, "{seq}");
+                        let off = place.inverse() * start;
+                        assert!(off.translation.vector.norm() < 0.01 && off.rotation.angle().abs() < 0.01);
+                    }
+                    Outcome::Skipped { reason, .. } => {
+                        skipped += 1;
+                        assert!(matches!(reason, SkipReason::NoPose | SkipReason::BeforeFirstPose));
+                    }
+                }
+            }
+            let matched = mapper.report().localization.map_or(0, |report| report.fallen_back);
+            let wanted = if fallback == Fallback::Match { (1, 55) } else { (56, 0) };
+            assert_eq!((skipped, matched), wanted);
+        }
     }
 
     #[test]

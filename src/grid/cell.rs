@@ -5,9 +5,7 @@
 
 use super::{
     angle::{Angle, AngleRange, atan2},
-    surface::Line,
     tiles::{CellIndex, TileIndex},
-    verdict::Verdict,
     view::Observation,
 };
 
@@ -128,12 +126,6 @@ pub struct Cell {
     pub centroid: [f32; 2],
     /// When the first and the last return landed in it (s since the first scan).
     pub(super) hit_time: [f32; 2],
-    /// The surface through it and its neighbours, as last judged.
-    pub line: Option<Line>,
-    /// What its shape says of it, as last judged: all of the verdict but whether it is an image.
-    pub shape: Verdict,
-    /// Whether it is shown as occupied, and why, as last judged.
-    pub verdict: Verdict,
 }
 
 impl Cell {
@@ -160,9 +152,6 @@ impl Cell {
             widest_missed: 0,
             centroid: [0.5; 2],
             hit_time: [0.0; 2],
-            line: None,
-            shape: Verdict::None,
-            verdict: Verdict::None,
         }
     }
 

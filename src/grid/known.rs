@@ -48,14 +48,17 @@ impl Visagge {
             let [x, y] = cell.centroid.map(f64::from);
             [(f64::from(index.x) + x) * self.resolution, (f64::from(index.y) + y) * self.resolution]
         };
-        let surfaces =
-            self.cells().filter(|(_, cell)| cell.verdict.is_shown()).map(|(index, cell)| KnownSurface {
-                at: place(index, cell),
-                seen_from: cell.visible.range.middle().rad(),
-                hits: cell.hits,
-                is_opaque: u32::from(cell.widest_missed) <= units(OPAQUE),
-            });
-        let doubtful = self.cells().filter(|(_, cell)| !cell.verdict.is_shown());
+        let shown = |wanted: bool| {
+            self.cells()
+                .filter(move |(.., judgement)| judgement.verdict.is_shown() == wanted)
+                .map(|(index, cell, _)| (index, cell))
+        };
+        let surfaces = shown(true).map(|(index, cell)| KnownSurface {
+            at: place(index, cell),
+            seen_from: cell.visible.range.middle().rad(),
+            hits: cell.hits,
+            is_opaque: u32::from(cell.widest_missed) <= units(OPAQUE),
+        });
         let side = SIDE as usize;
         let crossed = self.tiles.iter().flat_map(|(place, tile)| {
             (0..side * side)
@@ -66,7 +69,7 @@ impl Visagge {
         KnownPlaces {
             surfaces: surfaces.collect(),
             free: crossed.map(|index| [middle(index.x), middle(index.y)]).collect(),
-            doubtful: doubtful.map(|(index, cell)| place(index, cell)).collect(),
+            doubtful: shown(false).map(|(index, cell)| place(index, cell)).collect(),
         }
     }
 }

@@ -8,6 +8,7 @@
 use super::{
     angle::{Angle, AngleRange, units},
     cell::Cell,
+    surface::Line,
     tiles::{CellIndex, SIDE, TileIndex},
     visagge::Visagge,
 };
@@ -45,9 +46,10 @@ const OPAQUE: f32 = 0.75;
 const SEES: f64 = 30.0;
 
 /// How a cell may be an image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Image {
     /// Not seen through any surface.
+    #[default]
     No,
     /// Seen through a surface, and nothing mirrored explains it.
     Unexplained(Block),
@@ -55,6 +57,18 @@ pub(super) enum Image {
     IfOpaque(Block),
     /// Explained, in any surface.
     Yes,
+}
+
+impl Image {
+    /// The value of layer `image` in map.npz.
+    pub fn number(self) -> u8 {
+        match self {
+            Image::No => 0,
+            Image::Unexplained(_) => 1,
+            Image::IfOpaque(_) => 2,
+            Image::Yes => 3,
+        }
+    }
 }
 
 /// A block of cells.
@@ -124,8 +138,7 @@ pub(super) fn image(grid: &Visagge, place: TileIndex, cell: &Cell) -> Image {
 fn explained(grid: &Visagge, point: [f64; 2], sensor: [f64; 2], range: f64, bearing: f64) -> Image {
     let mut image = Image::No;
     let seen_from = Angle::from_rad(bearing);
-    cross(grid, sensor, point, range, |index, cell, distance| {
-        let Some(line) = &cell.line else { return false };
+    cross(grid, sensor, point, range, |index, cell, line, distance| {
         // What was always seen from this direction was not seen through.
         let inside = cell.visible.range.depth(AngleRange::at(seen_from), 0);
         if cell.widest_missed == 0 || inside > units(INSIDE) as i32 {
@@ -165,7 +178,7 @@ fn cross(
     sensor: [f64; 2],
     point: [f64; 2],
     range: f64,
-    mut visit: impl FnMut(CellIndex, &Cell, f64) -> bool,
+    mut visit: impl FnMut(CellIndex, &Cell, &Line, f64) -> bool,
 ) {
     let resolution = grid.resolution;
     // Half a cell: rows of cells that touch at their corners only are not slipped through.
@@ -191,7 +204,10 @@ fn cross(
                 break;
             }
             let crossed = evidence.mirror_at(column, row);
-            if crossed.is_some_and(|cell| visit(index, cell, distance)) {
+            let visited = crossed.is_some_and(|(cell, judgement)| {
+                judgement.line.as_ref().is_some_and(|line| visit(index, cell, line, distance))
+            });
+            if visited {
                 return;
             }
             distance += if crossed.is_some() { THICKNESS } else { step };

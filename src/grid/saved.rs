@@ -334,7 +334,7 @@ mod tests {
             assert!(after.map() == going_on.map(), "{gap}");
             assert!(going_on.map().occupancy.iter().filter(|cell| **cell == 100).count() > 20);
             assert!(
-                going_on.cells().any(|(_, cell)| cell.passes > 0),
+                going_on.cells().any(|(_, cell, _)| cell.passes > 0),
                 "something was seen, missed and seen again"
             );
         }
@@ -350,8 +350,9 @@ mod tests {
             insert(&mut grid, scan, *at);
             insert(&mut paused, scan, *at);
         }
-        let widths =
-            |grid: &Visagge| grid.cells().map(|(_, cell)| u64::from(cell.visible.range.width)).sum::<u64>();
+        let widths = |grid: &Visagge| {
+            grid.cells().map(|(_, cell, _)| u64::from(cell.visible.range.width)).sum::<u64>()
+        };
         assert!(widths(&paused) < widths(&grid));
     }
 

@@ -1,6 +1,10 @@
 //! SINGLE PASS MOTION REMOVAL, the verdict as the paper has it (paper IV-C), for comparison with ours.
 
-use super::{tiles::CellIndex, verdict::Verdict, visagge::Visagge};
+use super::{
+    tiles::CellIndex,
+    verdict::Verdict,
+    visagge::{Evidence, Visagge},
+};
 use std::collections::HashMap;
 
 /// Cells seen from a range narrower than this are uncertain (rad): 6 degrees in the paper.
@@ -13,7 +17,7 @@ impl Visagge {
         let uncertain = super::angle::units(UNCERTAIN);
         let mut occupied: HashMap<CellIndex, Option<f64>> = self
             .cells()
-            .map(|(index, cell)| {
+            .map(|(index, cell, _)| {
                 let view = cell.visible.range;
                 let doubtful = u32::from(view.width) < uncertain && cell.passes == 0;
                 (index, doubtful.then(|| view.middle().rad()))
@@ -41,9 +45,9 @@ impl Visagge {
         }
         for number in 0..self.tiles.len() {
             let place = self.tiles.place(number);
-            for cell in self.tiles.at_mut(number).evidence.iter_mut().flat_map(|evidence| &mut evidence.cells)
+            for (cell, judgement) in self.tiles.at_mut(number).evidence.iter_mut().flat_map(Evidence::judged)
             {
-                cell.verdict = match occupied.get(&cell.index(place)) {
+                judgement.verdict = match occupied.get(&cell.index(place)) {
                     Some(None) => Verdict::Solid,
                     Some(Some(_)) => Verdict::Surface,
                     None => Verdict::NoSurface,

@@ -74,12 +74,13 @@ impl Visagge {
             })
         };
         let crossed = || self.tiles.iter().flat_map(move |(place, tile)| free(place, &tile.free));
-        let frame = Frame::around(crossed().chain(self.cells().map(|(index, _)| index)));
+        let frame = Frame::around(crossed().chain(self.cells().map(|(index, ..)| index)));
         let mut map = frame.map(self.resolution);
         for cell in crossed() {
             map.occupancy[frame.place(cell)] = 0;
         }
-        let mut bytes = ["occupancy_count", "passes", "verdict"].map(|name| (name, vec![0u8; frame.area()]));
+        let mut bytes =
+            ["occupancy_count", "passes", "verdict", "image"].map(|name| (name, vec![0u8; frame.area()]));
         let mut words = [
             "hits",
             "visible_start",
@@ -89,14 +90,18 @@ impl Visagge {
             "missed_width",
         ]
         .map(|name| (name, vec![0u16; frame.area()]));
-        for (index, cell) in self.cells() {
+        for (index, cell, judgement) in self.cells() {
             let place = frame.place(index);
-            if cell.verdict.is_shown() {
+            if judgement.verdict.is_shown() {
                 map.occupancy[place] = 100;
                 map.visibility[place] = specularity(cell);
             }
-            for ((_, layer), value) in bytes.iter_mut().zip([cell.occupancy, cell.passes, cell.verdict as u8])
-            {
+            for ((_, layer), value) in bytes.iter_mut().zip([
+                cell.occupancy,
+                cell.passes,
+                judgement.verdict as u8,
+                judgement.image.number(),
+            ]) {
                 layer[place] = value;
             }
             let too = if cell.visible_too.way >= 0.0 { cell.visible_too.range } else { Default::default() };

@@ -13,7 +13,7 @@ use super::{
     reflection::{self, Image, Opacity},
     surface::{Line, Window},
     tiles::CellIndex,
-    visagge::Visagge,
+    visagge::{Evidence, Visagge},
 };
 
 /// Why a cell with evidence is shown, or not. The number is the value of layer `verdict` in map.npz.
@@ -44,6 +44,19 @@ impl Verdict {
     pub fn is_shown(self) -> bool {
         (Verdict::Solid as u8..Verdict::TooFew as u8).contains(&(self as u8))
     }
+}
+
+/// What is judged of a cell, from its observations and those of the cells around.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Judgement {
+    /// The surface through it and its neighbours.
+    pub line: Option<Line>,
+    /// What its shape says of it: all of the verdict but whether it is an image.
+    pub shape: Verdict,
+    /// How it may be an image.
+    pub image: Image,
+    /// Whether it is shown as occupied, and why.
+    pub verdict: Verdict,
 }
 
 /// Occupancy below which a cell is a random reading: they come once in a thousand beams (paper III-B).
@@ -85,17 +98,19 @@ impl Visagge {
         let mut bridged = Vec::new();
         for number in 0..self.tiles.len() {
             let place = self.tiles.place(number);
-            for cell in self.tiles.at(number).evidence.iter().flat_map(|evidence| &evidence.cells) {
-                if !cell.shape.is_shown() && self.is_in_gap(cell.index(place)) {
-                    bridged.push((number, cell.place));
+            let Some(evidence) = &self.tiles.at(number).evidence else { continue };
+            for (at, (cell, judgement)) in evidence.cells.iter().zip(&evidence.judgements).enumerate() {
+                if !judgement.shape.is_shown() && self.is_in_gap(cell.index(place)) {
+                    bridged.push((number, at));
                 }
             }
         }
         // Afterwards, so that no cell is held by one that is bridged itself.
-        for (number, place) in bridged {
+        for (number, at) in bridged {
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("the cell is in it");
-            evidence.shown[usize::from(place[1])] |= 1 << place[0];
-            evidence.cell_at_mut(place).expect("it was there").shape = Verdict::Bridged;
+            let [column, row] = evidence.cells[at].place;
+            evidence.shown[usize::from(row)] |= 1 << column;
+            evidence.judgements[at].shape = Verdict::Bridged;
         }
     }
 
@@ -119,26 +134,26 @@ impl Visagge {
 
     fn judge_images(&mut self) {
         let mut opacity = Opacity::default();
-        let images: Vec<Vec<Image>> = (0..self.tiles.len())
-            .map(|number| {
-                let cells = self.tiles.at(number).evidence.iter().flat_map(|evidence| &evidence.cells);
-                cells
-                    .map(|cell| {
-                        if !cell.shape.is_shown() {
-                            return Image::No;
-                        }
-                        let image = reflection::image(self, self.tiles.place(number), cell);
-                        opacity.vote(image);
-                        image
-                    })
-                    .collect()
-            })
-            .collect();
-        for (number, images) in images.into_iter().enumerate() {
-            let cells =
-                self.tiles.at_mut(number).evidence.iter_mut().flat_map(|evidence| &mut evidence.cells);
-            for (cell, image) in cells.zip(images) {
-                cell.verdict = if opacity.is_image(image) { Verdict::Image } else { cell.shape };
+        for number in 0..self.tiles.len() {
+            let place = self.tiles.place(number);
+            let Some(evidence) = &self.tiles.at(number).evidence else { continue };
+            let judged = evidence.cells.iter().zip(&evidence.judgements);
+            let images: Vec<Image> = judged
+                .map(|(cell, judgement)| {
+                    if judgement.shape.is_shown() { reflection::image(self, place, cell) } else { Image::No }
+                })
+                .collect();
+            images.iter().for_each(|image| opacity.vote(*image));
+            let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
+            for (judgement, image) in evidence.judgements.iter_mut().zip(images) {
+                judgement.image = image;
+            }
+        }
+        for number in 0..self.tiles.len() {
+            let judged = self.tiles.at_mut(number).evidence.iter_mut().flat_map(Evidence::judged);
+            for (_, judgement) in judged {
+                judgement.verdict =
+                    if opacity.is_image(judgement.image) { Verdict::Image } else { judgement.shape };
             }
         }
     }
@@ -154,16 +169,16 @@ impl Visagge {
         evidence.shown = [0; 64];
         evidence.mirrors = [0; 64];
         evidence.has_mirrors = false;
-        for cell in &mut evidence.cells {
+        for (cell, judgement) in evidence.cells.iter().zip(&mut evidence.judgements) {
             // What was never missed is solid and nothing is seen through it: its surface does not matter.
             let matters = cell.occupancy >= LEAST_HITS && (cell.widest_missed > 0 || cell.was_crossed);
-            cell.line = if matters { window.surface(cell.index(place), cell) } else { None };
-            cell.shape = shape(cell, cell.line.as_ref());
+            let line = if matters { window.surface(cell.index(place), cell) } else { None };
+            *judgement = Judgement { line, shape: shape(cell, line.as_ref()), ..Judgement::default() };
             let [column, row] = cell.place;
-            if cell.shape.is_shown() {
+            if judgement.shape.is_shown() {
                 evidence.shown[usize::from(row)] |= 1 << column;
                 if u32::from(cell.widest_missed) >= units(SEEN_THROUGH)
-                    && cell.line.is_some_and(|line| line.is_flat())
+                    && line.is_some_and(|line| line.is_flat())
                 {
                     evidence.mirrors[usize::from(row)] |= 1 << column;
                     evidence.has_mirrors = true;

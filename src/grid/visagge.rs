@@ -11,6 +11,7 @@ use super::{
     saved::PAUSE_NS,
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
+    verdict::Judgement,
     view::{HIT, Observation, Place, Sights, Tolerance, View},
 };
 use serde::{Deserialize, Serialize};
@@ -97,6 +98,8 @@ pub(super) struct Evidence {
     pub(super) cells: Vec<Cell>,
     /// Where each of `cells` is, by itself: all that is needed to find those of which a scan says something.
     places: Vec<Place>,
+    /// What was last judged of each of `cells`.
+    pub(super) judgements: Vec<Judgement>,
     /// A bit for each cell that is shown unless it is an image, a word a row.
     pub(super) shown: [u64; SIDE as usize],
     /// A bit for each of these that something may be seen through or in, a word a row.
@@ -111,6 +114,7 @@ impl Default for Evidence {
             slots: Box::new([NONE; (SIDE * SIDE) as usize]),
             cells: Vec::new(),
             places: Vec::new(),
+            judgements: Vec::new(),
             shown: [0; SIDE as usize],
             mirrors: [0; SIDE as usize],
             has_mirrors: false,
@@ -128,6 +132,7 @@ impl Evidence {
             *slot = self.cells.len() as u16;
             self.cells.push(make());
             self.places.push(number as Place);
+            self.judgements.push(Judgement::default());
         }
         let slot = usize::from(*slot);
         self.places[slot] |= HIT;
@@ -140,28 +145,31 @@ impl Evidence {
             let number = slot(cell.place);
             self.slots[number] = self.cells.len() as u16;
             self.places.push(number as Place);
+            self.judgements.push(Judgement::default());
             self.cells.push(cell);
         }
     }
 
-    /// The cell in this column and row, if something may be seen through it or in it.
-    pub(super) fn mirror_at(&self, column: usize, row: usize) -> Option<&Cell> {
+    /// The cell in this column and row, or beside, if something may be seen through it or in it.
+    pub(super) fn mirror_at(&self, column: usize, row: usize) -> Option<(&Cell, &Judgement)> {
         let beside = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
         let (column, row) =
             beside.into_iter().map(|(x, y)| (column as i32 + x, row as i32 + y)).find(|&(x, y)| {
                 (0..SIDE).contains(&x) && (0..SIDE).contains(&y) && self.mirrors[y as usize] >> x & 1 == 1
             })?;
-        self.cells.get(usize::from(self.slots[slot([column as u8, row as u8])]))
+        let number = usize::from(self.slots[slot([column as u8, row as u8])]);
+        self.cells.get(number).zip(self.judgements.get(number))
     }
 
-    /// The cell in this column and row.
-    pub(super) fn cell_at_mut(&mut self, place: [u8; 2]) -> Option<&mut Cell> {
-        self.cells.get_mut(usize::from(self.slots[slot(place)]))
+    /// Each cell with what was last judged of it.
+    pub(super) fn judged(&mut self) -> impl Iterator<Item = (&Cell, &mut Judgement)> {
+        self.cells.iter().zip(&mut self.judgements)
     }
 
     /// Memory beside the tile itself (bytes).
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(&*self.slots) + self.cells.capacity() * (size_of::<Cell>() + size_of::<Place>())
+        size_of_val(&*self.slots)
+            + self.cells.capacity() * (size_of::<Cell>() + size_of::<Place>() + size_of::<Judgement>())
     }
 
     fn retain(&mut self, keep: impl Fn(&Cell) -> bool) {
@@ -176,6 +184,7 @@ impl Evidence {
             self.mirrors[usize::from(cell.place[1])] &= !(1 << cell.place[0]);
             self.cells.swap_remove(number);
             self.places.swap_remove(number);
+            self.judgements.swap_remove(number);
             if let Some(moved) = self.cells.get(number) {
                 self.slots[slot(moved.place)] = number as u16;
             }
@@ -444,12 +453,11 @@ impl Visagge {
     }
 
     /// All cells with evidence.
-    pub(super) fn cells(&self) -> impl Iterator<Item = (CellIndex, &Cell)> {
+    pub(super) fn cells(&self) -> impl Iterator<Item = (CellIndex, &Cell, &Judgement)> {
         self.tiles.iter().flat_map(|(place, tile)| {
             tile.evidence.iter().flat_map(move |evidence| {
-                evidence.cells.iter().map(move |cell| {
-                    (place.cell(usize::from(cell.place[0]), usize::from(cell.place[1])), cell)
-                })
+                let judged = evidence.cells.iter().zip(&evidence.judgements);
+                judged.map(move |(cell, judgement)| (cell.index(place), cell, judgement))
             })
         })
     }

@@ -10,14 +10,14 @@ use visagged::map::{Map, Values};
 use crate::picture::place;
 
 /// Counts of wrong cells by label and verdict, as one line. A surface's cell is missing where nothing in its 3 x 3
-/// neighbourhood is shown; the verdicts are all that are found there. What the marks lack beyond these was lost when the map
+/// neighbourhood is shown; the verdicts are all that are found there. Of images left, it says how they may be images. What the marks lack beyond these was lost when the map
 /// was thinned: the surface is shown too thick, or beside its place. Empty for maps without verdicts.
 pub fn wrong_cells(map: &Map, truth: &TruthMap, score: &Score) -> String {
-    let Some(Values::U8(verdicts)) = map.layers.iter().find(|l| l.name == "verdict").map(|l| &l.values)
-    else {
+    let (Some(verdicts), Some(images)) = (layer(map, "verdict"), layer(map, "image")) else {
         return String::new();
     };
     let at = |x: i64, y: i64| place(map, truth, x, y).map(|place| verdicts[place]);
+    let image = |x: i64, y: i64| place(map, truth, x, y).map_or(0, |place| images[place]);
     let mut counts: BTreeMap<(String, Vec<u8>), u32> = BTreeMap::new();
     for (cell, label) in truth.labels.iter().enumerate() {
         let (x, y) = ((cell % truth.width) as i64, (cell / truth.width) as i64);
@@ -35,7 +35,11 @@ pub fn wrong_cells(map: &Map, truth: &TruthMap, score: &Score) -> String {
             _ => at(x, y).filter(|verdict| is_shown(*verdict)).map(|verdict| vec![verdict]),
         };
         if let Some(verdicts) = wrong {
-            *counts.entry((format!("{label:?}"), verdicts)).or_default() += 1;
+            let label = match label {
+                Label::Reflection => format!("Reflection (image {})", image(x, y)),
+                _ => format!("{label:?}"),
+            };
+            *counts.entry((label, verdicts)).or_default() += 1;
         }
     }
     let lost = |what: &str, share: scipsim::Share| {
@@ -46,6 +50,13 @@ pub fn wrong_cells(map: &Map, truth: &TruthMap, score: &Score) -> String {
     let lost = lost("Glass", score.glass) + &lost("Diffuse", score.diffuse);
     let text = counts.iter().map(|((label, verdicts), count)| format!("{label} {verdicts:?}: {count}"));
     text.collect::<Vec<_>>().join("; ") + &lost
+}
+
+fn layer<'a>(map: &'a Map, name: &str) -> Option<&'a [u8]> {
+    map.layers.iter().find(|layer| layer.name == name).and_then(|layer| match &layer.values {
+        Values::U8(values) => Some(values.as_slice()),
+        _ => None,
+    })
 }
 
 /// As [`Verdict::is_shown`], by number.

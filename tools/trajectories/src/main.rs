@@ -177,7 +177,7 @@ impl Run {
         let mount = drive.mount.pose();
         let mut loops = loops::Drive::default();
         let poses = self.located.iter().map(|(_, pose)| pose);
-        let next = poses.clone().skip(1).chain(poses.clone().last());
+        let next = poses.clone().skip(1).chain(poses.clone().next_back());
         let ways: Vec<f64> = self
             .located
             .iter()
