@@ -512,8 +512,8 @@ const ONLY: f64 = 0.8;
 /// See [`ONLY`].
 const KNOWN_WELL: f64 = 0.8;
 /// ... or leaves so many times as much unexplained, and this share of the points more: the same place in another corner of a
-/// building that looks alike from all sides. 5 % of 250 points are three deviations of their number.
-const UNLIKE: [f64; 2] = [3.0, 0.05];
+/// building that looks alike from all sides. People who stand around leave a tenth unexplained at the right place.
+const UNLIKE: [f64; 2] = [3.0, 0.1];
 /// The known map tells where it holds at least this share of the points.
 const KNOWN_ENOUGH: f64 = 0.5;
 /// While lost, one scan in this many is searched for: a search takes up to 0.4 s, and the queue before the mapper holds 2 s.

@@ -31,8 +31,11 @@ const NEAR: f64 = 5.0;
 /// By how much a drive may be out, for each metre of the way between: place (m/m) and heading (rad/m). Ranges of a scanner that
 /// bends straight walls lost 34 degrees over 105 m.
 const OUT: [f64; 2] = [0.15, 0.007];
-/// A segment fits where surfaces explain this share of its points in known space, which are this share of all.
-const FITS: [f64; 2] = [0.75, 0.5];
+/// A segment fits where surfaces explain this share of its points in known space, which are this share of all: near where it is
+/// expected, and anywhere. Who comes back round a corner knows but a third of what there is to see.
+const EXPLAINED: f64 = 0.75;
+/// See [`EXPLAINED`].
+const KNOWN: [f64; 2] = [0.3, 0.5];
 /// ... and no other place fits better than this part as well.
 const ONLY: f64 = 0.85;
 /// How far a refinement may lead (m, rad): beyond, it is another place that it found.
@@ -286,7 +289,7 @@ impl Drive {
                 let found = refine(&other.map, &segment.points, &free(expected));
                 let off = difference(&found.pose, &expected);
                 let is_near = off.xy().norm() <= REFINED[0] && off.z.abs() <= REFINED[1];
-                if found.known >= FITS[1] {
+                if found.known >= KNOWN[1] {
                     looks += 1;
                     against += usize::from(found.explained < CONTRADICTS || !is_near);
                 }
@@ -354,7 +357,7 @@ impl Segment {
         let found = refine(map, &self.points, &free(*expected));
         let off = difference(&found.pose, expected);
         let is_near = off.xy().norm() <= REFINED[0] && off.z.abs() <= REFINED[1];
-        (is_near && fits(&found)).then_some(found)
+        (is_near && fits(&found, KNOWN[0])).then_some(found)
     }
 
     /// Its place in another segment's map, if there is exactly one.
@@ -371,7 +374,7 @@ impl Segment {
             off.xy().norm() > REFINED[0] || off.z.abs() > REFINED[1]
         };
         let second = matches.iter().find(is_other).map_or(0.0, fit);
-        (fits(&best) && second <= ONLY * fit(&best)).then_some(best)
+        (fits(&best, KNOWN[1]) && second <= ONLY * fit(&best)).then_some(best)
     }
 }
 
@@ -381,8 +384,8 @@ impl Closure {
     }
 }
 
-fn fits(found: &Match) -> bool {
-    found.explained >= FITS[0] && found.known >= FITS[1]
+fn fits(found: &Match, known: f64) -> bool {
+    found.explained >= EXPLAINED && found.known >= known
 }
 
 /// `to` was found in the map of `from`, whose beginning that map has at `pose`.
