@@ -8,12 +8,14 @@ use anyhow::Result;
 use clap::Parser;
 use drive::{Drive, Trouble};
 use error::{TrajectoryError, error};
+use nalgebra::{Matrix3, Vector3};
 use scipsim::World;
 use std::{io::Write, path::Path, path::PathBuf};
 use visagged::{
     localize::{
         LocalizeSettings,
         loops::{self, Loops},
+        matcher::difference,
         points::Points,
     },
     mapper::{Mapper, MapperKind, MapperReport, MapperSettings, Outcome, PoseUse},
@@ -86,8 +88,19 @@ fn main() -> Result<()> {
         skip: arguments.skip,
     };
     println!(
-        "{:18} {:8} {:>7} {:>7} {:>7} {:>7} {:>7} {:>7} {:>7} {:>6} {:>5}",
-        "world", "mode", "raw m", "aligned", "head °", "end m", "max m", "ms", "p99 ms", "skip", "lost"
+        "{:18} {:8} {:>7} {:>7} {:>7} {:>7} {:>7} {:>7} {:>7} {:>6} {:>5} {:>6}",
+        "world",
+        "mode",
+        "raw m",
+        "aligned",
+        "head °",
+        "end m",
+        "max m",
+        "ms",
+        "p99 ms",
+        "skip",
+        "lost",
+        "NEES"
     );
     for name in &arguments.worlds {
         let world = World::load(name)?;
@@ -111,6 +124,12 @@ fn main() -> Result<()> {
     Ok(())
 }
 
+/// An error (m, m, rad) in deviations of a covariance xx, xy, xa, yy, ya, aa, squared.
+fn squared_deviations([xx, xy, xa, yy, ya, aa]: [f64; 6], error: &Vector3<f64>) -> Option<f64> {
+    let information = Matrix3::new(xx, xy, xa, xy, yy, ya, xa, ya, aa).try_inverse()?;
+    Some(error.dot(&(information * error)))
+}
+
 /// What one way of localization made of a drive.
 #[derive(Clone)]
 struct Run {
@@ -120,6 +139,8 @@ struct Run {
     /// Number of the scan of each pair, and its pose as it was found.
     located: Vec<(usize, Pose)>,
     report: Option<MapperReport>,
+    /// Squared deviations of the error of each pose, by the covariance that came with it: NEES, 3 where that is true.
+    deviations: Vec<f64>,
 }
 
 impl Run {
@@ -138,7 +159,7 @@ impl Run {
             Some((scan.stamp_ns, ((pose, *truth), (number, pose))))
         });
         let (stamps_ns, (pairs, located)) = known.unzip();
-        Run { stamps_ns, pairs, located, report: None }
+        Run { stamps_ns, pairs, located, report: None, deviations: Vec::new() }
     }
 
     fn of_matching(drive: &Drive, with_odometry: bool, grid: &str) -> Run {
@@ -150,9 +171,13 @@ impl Run {
         // Without odometry the map begins at the first pose that was found.
         let first = if with_odometry { Pose::identity() } else { drive.truth[0] };
         let (mut stamps_ns, mut pairs, mut located, mut next) = (Vec::new(), Vec::new(), Vec::new(), 0);
+        let mut deviations = Vec::new();
         let mut take = |mapper: &mut Mapper| {
             while let Some(outcome) = mapper.next_outcome() {
-                if let Outcome::Inserted { stamp_ns, start, .. } = outcome {
+                if let Outcome::Inserted { stamp_ns, start, covariance, .. } = outcome {
+                    let error = difference(&(first * start), &drive.truth[next]);
+                    deviations
+                        .extend(covariance.and_then(|covariance| squared_deviations(covariance, &error)));
                     stamps_ns.push(stamp_ns);
                     pairs.push((first * start, drive.truth[next]));
                     located.push((next, start));
@@ -169,7 +194,7 @@ impl Run {
         }
         mapper.finish();
         take(&mut mapper);
-        Run { stamps_ns, pairs, located, report: Some(mapper.report()) }
+        Run { stamps_ns, pairs, located, report: Some(mapper.report()), deviations }
     }
 
     /// The same with its loops closed, and what was closed.
@@ -218,11 +243,12 @@ impl Run {
         );
         match self.report.as_ref().and_then(|report| Some((report, report.localization.as_ref()?))) {
             Some((report, localization)) => println!(
-                " {:7.2} {:7.2} {:6} {:5}",
+                " {:7.2} {:7.2} {:6} {:5} {:6.2}",
                 localization.match_us.median / 1e3,
                 localization.match_us.p99 / 1e3,
                 report.scans_skipped.values().sum::<u64>(),
-                localization.lost
+                localization.lost,
+                self.deviations.iter().sum::<f64>() / self.deviations.len().max(1) as f64
             ),
             None => println!(),
         }
