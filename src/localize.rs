@@ -503,6 +503,9 @@ const PROBATION: u32 = 20;
 const USUAL_MEMORY: f64 = 0.02;
 /// A search looks as well where the place or the heading is less sure than this (m, rad): a refinement finds no farther.
 const NARROW: [f64; 2] = [0.06, 0.03];
+/// Share of the points that must lie on something for a place to be looked at more closely. It is half as much as at the right
+/// place, in steps of a cell; less, and a search of a map in which it is not takes seconds.
+const CANDIDATE: f64 = 0.45;
 /// A place that a search finds is believed where this share of the points is explained,
 const FOUND: f64 = 0.8;
 /// ... no more than this share of the beams would have gone through a wall: a door that was open is shut,
@@ -559,7 +562,7 @@ enum Recognized {
 
 /// Where in all of the map the points fit.
 fn recognize(map: &Submap, points: &Points) -> Recognized {
-    let candidates = search::anywhere(map, &points.thinned, 0.3);
+    let candidates = search::anywhere(map, &points.thinned, CANDIDATE);
     let mut matches: Vec<(f64, f64, Match)> = candidates
         .iter()
         .map(|candidate| {
