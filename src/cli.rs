@@ -59,6 +59,12 @@ pub struct RunArgs {
     /// Folder of the map's files.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// The map that lives on: go on in FILE where it is there, and save it there now and then and at the end.
+    #[arg(long, value_name = "FILE")]
+    pub map: Option<PathBuf>,
+    /// Begin an empty map although there is one; that one becomes FILE.former.
+    #[arg(long)]
+    pub fresh: bool,
     /// End after this many seconds.
     #[arg(long, value_name = "S", value_parser = seconds)]
     pub duration: Option<f64>,
@@ -106,6 +112,17 @@ pub struct ReplayArgs {
     /// Configuration, of which the table `mapper` is used in the place of what the recording says.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// Go on in the map of FILE where it is there, and save it there at the end. Without it, a recording of a run that went
+    /// on in a map begins with that one, which it holds.
+    #[arg(long, value_name = "FILE")]
+    pub map: Option<PathBuf>,
+    /// Begin an empty map although there is one; that of --map becomes FILE.former.
+    #[arg(long)]
+    pub fresh: bool,
+    /// Close loops: a first pass locates all scans and finds where the drive came back, a second one maps them where they then
+    /// belong. What is good already is not touched.
+    #[arg(long, conflicts_with_all = ["map", "fresh"])]
+    pub optimize: bool,
     /// Write explain.png too: why each cell is shown (black solid, blue a surface visible near its normal, green seen
     /// again, light blue in a gap) or not (sand too few returns, red somebody who moved, violet an image in a mirror or pane).
     #[arg(long)]
@@ -151,12 +168,14 @@ impl ReplayArgs {
 impl RunArgs {
     /// Whether nothing at all was asked for.
     pub fn is_empty(&self) -> bool {
-        let Self { config, device, record, pose, out, duration } = self;
+        let Self { config, device, record, pose, out, map, fresh, duration } = self;
         config.is_none()
             && device.is_none()
             && record.is_none()
             && pose.is_none()
             && out.is_none()
+            && map.is_none()
+            && !fresh
             && duration.is_none()
     }
 
@@ -177,6 +196,10 @@ impl RunArgs {
         if let Some(out) = &self.out {
             config.output.folder = Some(out.clone());
         }
+        if let Some(file) = &self.map {
+            config.map.file = Some(file.clone());
+        }
+        config.map.fresh |= self.fresh;
     }
 }
 

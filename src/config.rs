@@ -14,7 +14,7 @@ use scip::transport::Address;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::mapper::{MapperSettings, PoseUse};
+use crate::mapper::{Fallback, MapperSettings, PoseUse};
 
 /// All settings.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -30,6 +30,8 @@ pub struct Config {
     pub record: RecordConfig,
     /// The map's files.
     pub output: OutputConfig,
+    /// The map that lives on from run to run.
+    pub map: MapConfig,
 }
 
 /// The scanner and what is asked of it.
@@ -104,6 +106,9 @@ pub struct PoseConfig {
     /// map. `match`: each scan is matched with those before; `match+unix:PATH` or `match+udp://HOST:PORT`: the same with
     /// odometry as a guide. `none`. Default: `match`.
     pub source: PoseSource,
+    /// What becomes of scans for which no poses in the map come: `skip`, or `match`: they are matched with what was mapped before,
+    /// until poses come again. Default: `skip`.
+    pub fallback: Fallback,
     /// The frame whose poses are wanted; poses of any other (key `child`) are rejected. Default: `base_link` (REP-105).
     pub child: String,
     /// Poses that are older than this when they arrive are rejected (s, 0.01..=60). Default: 1.
@@ -114,7 +119,13 @@ pub struct PoseConfig {
 
 impl Default for PoseConfig {
     fn default() -> Self {
-        Self { source: PoseSource::default(), child: "base_link".into(), stale_s: 1.0, future_s: 0.1 }
+        Self {
+            source: PoseSource::default(),
+            fallback: Fallback::default(),
+            child: "base_link".into(),
+            stale_s: 1.0,
+            future_s: 0.1,
+        }
     }
 }
 
@@ -190,6 +201,25 @@ pub struct OutputConfig {
 impl Default for OutputConfig {
     fn default() -> Self {
         Self { folder: None, every_s: 30.0 }
+    }
+}
+
+/// The map that lives on from run to run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MapConfig {
+    /// File that holds all that the grid knows. Where there is one at the start, the run goes on in it; it is saved now and
+    /// then and at the end. Default: not set, each run begins an empty map.
+    pub file: Option<PathBuf>,
+    /// Time between two savings while running (s, 1..=86400): what a power cut may cost. Default: 60.
+    pub every_s: f64,
+    /// Whether to begin an empty map although there is one; that one becomes `FILE.former`. Default: false.
+    pub fresh: bool,
+}
+
+impl Default for MapConfig {
+    fn default() -> Self {
+        Self { file: None, every_s: 60.0, fresh: false }
     }
 }
 
@@ -285,7 +315,17 @@ impl Config {
         within("pose.future_s", self.pose.future_s, 0.0, 10.0)?;
         within("record.rotate_bytes", self.record.rotate_bytes, 1 << 20, 1 << 40)?;
         within("record.rotate_s", self.record.rotate_s, 10.0, 86400.0)?;
-        within("output.every_s", self.output.every_s, 1.0, 86400.0)
+        within("output.every_s", self.output.every_s, 1.0, 86400.0)?;
+        within("map.every_s", self.map.every_s, 1.0, 86400.0)?;
+        if self.map.file.is_some() && !crate::saved::is_kept(mapper.mapper) {
+            return Err(OutOfRange {
+                key: "mapper.mapper",
+                value: format!("{:?}", mapper.mapper).to_lowercase(),
+                wanted: "visagge or paper, where map.file is set: the grids for comparison cannot be saved"
+                    .into(),
+            });
+        }
+        Ok(())
     }
 }
 
@@ -424,6 +464,7 @@ mod tests {
         shown.pose.source = PoseSource::default();
         shown.record.folder = RecordConfig::default().folder;
         shown.output.folder = None;
+        shown.map.file = None;
         assert_eq!(shown, Config::default());
     }
 
@@ -439,7 +480,7 @@ mod tests {
             }
         }
         // Settings that are not set by default cannot be in the table above.
-        for key in ["url", "first_step", "last_step", "folder"] {
+        for key in ["url", "first_step", "last_step", "folder", "file"] {
             assert!(example_text.contains(&format!("{key} = ")), "{key}");
         }
     }
@@ -466,6 +507,8 @@ mod tests {
             ("[pose]\nstale_s = 0", "pose.stale_s = 0"),
             ("[record]\nrotate_bytes = 1", "record.rotate_bytes = 1"),
             ("[output]\nevery_s = inf", "output.every_s = inf"),
+            ("[map]\nevery_s = 0", "map.every_s = 0"),
+            ("[map]\nfile = \"a\"\n[mapper]\nmapper = \"standard\"", "mapper.mapper = standard"),
         ] {
             let error = load(text).unwrap_err();
             assert!(error.contains(wanted), "{error}");

@@ -17,10 +17,11 @@
 //! - [`live`] gives the mapper threads, bounded queues and clocks. [`record`] keeps what came, in the order in which
 //!   the mapper took it; [`replay`] with [`input`] gives it back through the same decoder. So a live run and the
 //!   replay of its recording end in the same map, bit by bit.
+//! - [`saved`] is the file by which a map lives on from run to run.
 //! - [`output`] and [`report`] write what is left of a run; [`config`], [`cli`], [`exit`], [`logging`] and [`notify`]
 //!   are the manners of a daemon.
 //!
-//! Only `live`, `output`, `record`, `input` and the program itself touch files, sockets or clocks. (The mapper reads the CPU
+//! Only `live`, `output`, `record`, `saved`, `input` and the program itself touch files, sockets or clocks. (The mapper reads the CPU
 //! time of its thread, for the report only.)
 
 pub mod cdr;
@@ -42,4 +43,5 @@ pub mod record;
 pub mod recover;
 pub mod replay;
 pub mod report;
+pub mod saved;
 pub mod scan;

@@ -38,13 +38,15 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use crate::config::Config;
 use crate::exit::{Exit, Failure};
+use crate::localize::Tracking;
 use crate::map::Map;
-use crate::mapper::{Mapper, MapperReport};
+use crate::mapper::{Mapper, MapperReport, PoseUse};
 use crate::notify::Manager;
 use crate::output::Outputs;
 use crate::pose_input::{PoseReader, PoseSocket};
 use crate::record::{Record, Recorder, RecorderReport, RecorderSettings};
 use crate::report::{MapSummary, Mode, Report, Versions};
+use crate::saved::{LoadError, Loaded, MapFile, SavedMap};
 use driver::{Driver, Opener};
 use mapping::{FromMapper, Mapping};
 use queues::{Gauge, Sender, TO_MAIN, TO_MAPPER, TO_RECORDER, queue};
@@ -106,6 +108,7 @@ struct Supervisor {
     shared: Arc<Shared>,
     gauges: Vec<Gauge>,
     outputs: Option<Outputs>,
+    map_file: Option<MapFile>,
     recorder: Option<Sender<Record>>,
     recording: Arc<Mutex<RecorderReport>>,
     manager: Manager,
@@ -137,6 +140,8 @@ struct Parts {
     session: scip::Session,
     pose_socket: Option<PoseSocket>,
     outputs: Option<Outputs>,
+    mapper: Mapper,
+    map_file: Option<MapFile>,
     recorder: Option<Recorder>,
     clocks: crate::pose_input::Clocks,
 }
@@ -150,13 +155,14 @@ impl Parts {
             .map_err(|error| Failure::new(Exit::Config, anyhow!(error)))?;
         let pose_socket = PoseSocket::open(&config.pose.source).map_err(io)?;
         let outputs = config.output.folder.as_deref().map(Outputs::create).transpose().map_err(io)?;
+        let Begun { mapper, map_file, with } = Begun::of(&config)?;
         let recorder = config
             .record
             .enabled
-            .then(|| create_recorder(&config, &run.session, clocks))
+            .then(|| create_recorder(&config, &run.session, clocks, with))
             .transpose()
             .map_err(io)?;
-        Ok(Self { config, session, pose_socket, outputs, recorder, clocks })
+        Ok(Self { config, session, pose_socket, outputs, mapper, map_file, recorder, clocks })
     }
 
     fn start(self, run: &mut Run) -> Result<(Supervisor, Receiver<Ended>, Receiver<FromMapper>), Failure> {
@@ -194,10 +200,11 @@ impl Parts {
             None => None,
         };
         let mapping = Mapping {
-            mapper: Mapper::new(self.config.mapper.clone()),
+            mapper: self.mapper,
             main: to_main,
             recorder: recorder.clone(),
             map_every: Duration::from_secs_f64(self.config.output.every_s),
+            save_every: self.map_file.is_some().then(|| Duration::from_secs_f64(self.config.map.every_s)),
             shared: Arc::clone(&shared),
         };
         start("mapper", Box::new(move || mapping.run(&mapper_inbox)))?;
@@ -223,6 +230,7 @@ impl Parts {
             shared,
             gauges,
             outputs: self.outputs,
+            map_file: self.map_file,
             recorder,
             recording,
             manager: Manager::find(),
@@ -240,14 +248,59 @@ impl Parts {
     }
 }
 
+/// A mapper, in the map that an earlier run has left where there is one.
+struct Begun {
+    mapper: Mapper,
+    /// Where the map is kept.
+    map_file: Option<MapFile>,
+    /// The map that it begins with, as it was read.
+    with: Option<Vec<u8>>,
+}
+
+impl Begun {
+    fn of(config: &Config) -> Result<Self, Failure> {
+        let empty = |map_file| Self { mapper: Mapper::new(config.mapper.clone()), map_file, with: None };
+        let Some(path) = &config.map.file else { return Ok(empty(None)) };
+        let refused = |error: LoadError| {
+            let exit = if matches!(error, LoadError::Io { .. }) { Exit::Io } else { Exit::Config };
+            Failure::new(exit, error)
+        };
+        let (file, loaded) = MapFile::open(path, config.map.fresh, &config.mapper).map_err(refused)?;
+        let Some(Loaded { map, bytes }) = loaded else {
+            info!("an empty map begins; it will be kept in {}", path.display());
+            return Ok(empty(Some(file)));
+        };
+        let mapper = Mapper::going_on(&map, config.mapper.clone())
+            .with_context(|| format!("the map {}", path.display()))
+            .map_err(|error| Failure::new(Exit::Config, error))?;
+        info!("the map {} of {} scans goes on", path.display(), map.scans);
+        if config.mapper.poses == PoseUse::Odometry {
+            info!("nothing is mapped until the scanner's place in it has been found");
+        }
+        Ok(Self { mapper, map_file: Some(file), with: Some(bytes) })
+    }
+}
+
 fn create_recorder(
     config: &Config,
     session: &scip::SessionSettings,
     clocks: crate::pose_input::Clocks,
+    begun_with: Option<Vec<u8>>,
 ) -> Result<Recorder> {
     let folder = &config.record.folder;
     std::fs::create_dir_all(folder)
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let mut attachments = vec![crate::record::Attachment {
+        name: "visagged.toml".into(),
+        media_type: "application/toml".into(),
+        data: toml::to_string(config)?.into_bytes(),
+    }];
+    // A replay begins with it as well.
+    attachments.extend(begun_with.map(|data| crate::record::Attachment {
+        name: crate::record::BEGUN_WITH.into(),
+        media_type: "application/octet-stream".into(),
+        data,
+    }));
     let settings = RecorderSettings {
         rotate_bytes: config.record.rotate_bytes,
         rotate_ns: (config.record.rotate_s * 1e9) as i64,
@@ -258,11 +311,7 @@ fn create_recorder(
             stamps_at_rear: session.monitor.stamp_reference == scip::StampReference::Rear,
             pose_source: config.pose.source.to_string(),
         },
-        attachments: vec![crate::record::Attachment {
-            name: "visagged.toml".into(),
-            media_type: "application/toml".into(),
-            data: toml::to_string(config)?.into_bytes(),
-        }],
+        attachments,
         ..RecorderSettings::new(folder)
     };
     Recorder::create(settings, clocks.realtime_ns, clocks.monotonic_ns)
@@ -343,6 +392,7 @@ impl Supervisor {
                     self.fail(Exit::Io, error);
                 }
             }
+            FromMapper::Saved(map) => self.save_map(&map),
             FromMapper::Map(map, report) => {
                 let is_last = self.phase != Phase::Running;
                 self.latest = Some((map, *report));
@@ -458,8 +508,14 @@ impl Supervisor {
             values.push((format!("{}.dropped", gauge.name()), report.dropped.to_string()));
         }
         let is_open = self.shared.is_open.load(Relaxed);
+        let state =
+            lock(&self.shared.mapper).as_ref().and_then(|report| Some(report.localization.as_ref()?.state));
+        if let Some(state) = state {
+            values.push(("localization".into(), format!("{state:?}").to_lowercase()));
+        }
+        let is_unsure = matches!(state, Some(Tracking::Degraded | Tracking::Lost));
         vec![crate::cdr::DiagnosticStatus {
-            level: if !is_open { 2 } else { u8::from(dropped > 0) },
+            level: if !is_open { 2 } else { u8::from(dropped > 0 || is_unsure) },
             name: "visagged".into(),
             message: self.status.text().into(),
             hardware_id: lock(&self.shared.device)
@@ -488,6 +544,23 @@ impl Supervisor {
             recording: self.config.record.enabled.then(|| lock(&self.recording).clone()),
             map: MapSummary::of(map),
             settings: serde_json::to_value(&self.config).unwrap_or_default(),
+        }
+    }
+
+    fn save_map(&mut self, map: &SavedMap) {
+        let Some(file) = &mut self.map_file else { return };
+        let is_last = self.phase != Phase::Running;
+        match file.save(map) {
+            Ok(()) if is_last => info!("kept for the next run: {}", file.path().display()),
+            Ok(()) => {}
+            Err(error) => {
+                let error = anyhow!("the map cannot be saved as {}: {error}", file.path().display());
+                error!("{error}");
+                // The next time there may be room again; only the last one decides.
+                if is_last {
+                    self.failure.get_or_insert(Failure::new(Exit::Io, error));
+                }
+            }
         }
     }
 
@@ -548,6 +621,7 @@ fn changed_parts(old: &Config, new: &Config) -> Vec<&'static str> {
         ("[mapper]", old.mapper != new.mapper),
         ("[record]", old.record != new.record),
         ("[output]", old.output != new.output),
+        ("[map]", old.map != new.map),
     ]
     .into_iter()
     .filter_map(|(part, has_changed)| has_changed.then_some(part))

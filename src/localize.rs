@@ -5,6 +5,9 @@
 //! own; they are not the map that is shown. Sources: Hess et al. 2016 (submaps, search by branch and bound), Olson
 //! 2009 (correlation), Censi 2008 (points against lines).
 
+pub mod graph;
+pub mod known;
+pub mod loops;
 pub mod matcher;
 pub mod motion;
 pub mod points;
@@ -123,6 +126,8 @@ pub struct Localizer {
     tracking: Tracking,
     /// Odometry at the middle of the last scan.
     wheels: Option<(Pose, u32)>,
+    /// What earlier runs have left: matched against wherever it tells, and never changed.
+    known: Option<Submap>,
     /// The map that is matched against, and the one that will follow it.
     current: Submap,
     following: Submap,
@@ -138,9 +143,13 @@ pub struct Localizer {
     usual: f64,
     /// Time of the last good match (ns).
     good_ns: i64,
-    /// Scans since the place was lost, and the map that was searched last.
+    /// Scans since the place was lost, and searches since then.
     searching: u32,
     searched: usize,
+    /// Searches that found several places.
+    ambiguous: u64,
+    /// Whether the last one did.
+    is_ambiguous: bool,
     scans: u32,
 }
 
@@ -156,6 +165,7 @@ impl Localizer {
             motion: None,
             tracking: Tracking::Starting,
             wheels: None,
+            known: None,
             current: Submap::default(),
             following: Submap::default(),
             submap_way: 0.0,
@@ -167,8 +177,28 @@ impl Localizer {
             good_ns: i64::MIN,
             searching: 0,
             searched: 0,
+            ambiguous: 0,
+            is_ambiguous: false,
             scans: 0,
         }
+    }
+
+    /// A localizer that is somewhere in a known map and has to find out where.
+    pub fn in_known(settings: LocalizeSettings, mount: Pose, known: Submap) -> Localizer {
+        // The first scan is searched for.
+        let searching = SEARCH_EVERY - 1;
+        let tracking = Tracking::Lost;
+        Localizer { known: Some(known), tracking, searching, ..Localizer::new(settings, mount) }
+    }
+
+    /// Whether the last search found several places that are as good as each other.
+    pub fn is_ambiguous(&self) -> bool {
+        self.is_ambiguous
+    }
+
+    /// Searches after which several places were as good as each other.
+    pub fn ambiguous(&self) -> u64 {
+        self.ambiguous
     }
 
     /// How well the place is known.
@@ -176,9 +206,19 @@ impl Localizer {
         self.tracking
     }
 
+    /// Whether a scan was ever located.
+    pub fn has_begun(&self) -> bool {
+        self.motion.is_some()
+    }
+
     /// Memory that the matching maps hold (bytes).
     pub fn bytes(&self) -> usize {
-        [&self.current, &self.following].into_iter().chain(&self.former).map(Submap::bytes).sum()
+        [&self.current, &self.following]
+            .into_iter()
+            .chain(&self.former)
+            .chain(&self.known)
+            .map(Submap::bytes)
+            .sum()
     }
 
     /// Locates a scan.
@@ -187,10 +227,16 @@ impl Localizer {
         let middle_ns = scan.stamp_ns + (scan.end_ns() - scan.stamp_ns) / 2;
         let sweep_s = (scan.end_ns() - scan.stamp_ns) as f64 * 1e-9;
         let wheels_middle = wheels.map(|wheels| interpolate(&wheels.start, &wheels.end, 0.5));
-        let Some(mut motion) = self.motion.take() else {
-            let base = wheels_middle.unwrap_or_else(Pose::identity);
-            let motion = Motion::new(middle_ns, base * self.mount);
-            return self.begin(motion, scan, wheels, wheels_middle, sweep_s);
+        let mut motion = match self.motion.take() {
+            Some(motion) => motion,
+            None => {
+                let base = wheels_middle.unwrap_or_else(Pose::identity);
+                let motion = Motion::new(middle_ns, base * self.mount);
+                if self.known.is_none() {
+                    return self.begin(motion, scan, wheels, wheels_middle, sweep_s);
+                }
+                motion
+            }
         };
         match (wheels_middle, wheels, self.wheels) {
             (Some(now), Some(Wheels { reset, .. }), Some((before, reset_before)))
@@ -206,6 +252,29 @@ impl Localizer {
         self.points.read(scan, start, end, self.settings.spacing, self.settings.points);
         let doubt = self.follow(&mut motion);
         self.finish(motion, start, end, doubt)
+    }
+
+    /// Takes in a scan of which somebody else has told where it was taken (base_link at its first and last beam), so that what
+    /// follows can be matched when that one falls silent.
+    pub fn follow_given(&mut self, scan: &Scan, start: &Pose, end: &Pose) {
+        self.scans += 1;
+        let middle_ns = scan.stamp_ns + (scan.end_ns() - scan.stamp_ns) / 2;
+        let [start, end] = [start, end].map(|pose| pose * self.mount);
+        let at = interpolate(&start, &end, 0.5);
+        let mut motion = self.motion.take().unwrap_or_else(|| Motion::new(middle_ns, at));
+        // Whoever jumps is not moving that fast; and what was matched before is of no use at another place.
+        if !motion.allows(&at) {
+            motion = Motion::new(middle_ns, at);
+        }
+        motion.given(middle_ns, at);
+        (self.wheels, self.tracking, self.probation) = (None, Tracking::Tracking, 0);
+        self.good_ns = middle_ns;
+        if self.is_key(&at) {
+            let own = [start, end].map(|pose| at.inverse() * pose);
+            self.points.read(scan, own[0], own[1], self.settings.spacing, self.settings.points);
+            self.add_key(&at);
+        }
+        self.motion = Some(motion);
     }
 
     /// The first scan makes the map.
@@ -254,18 +323,18 @@ impl Localizer {
             return self.miss(motion, Doubt::Poor);
         }
         let prior = motion.prior();
-        let mut found = refine(&self.current, points, &prior);
-        let [place, heading] = motion.sigmas();
-        if found.explained < GOOD || place > NARROW[0] || heading > NARROW[1] {
-            let window =
-                Window { reach: (3.0 * place).clamp(0.2, 1.0), turn: (3.0 * heading).clamp(0.1, 0.5) };
-            for candidate in search::around(&self.current, points, &prior.pose, window) {
-                let other = refine(&self.current, points, &free(candidate.pose));
-                if other.explained > found.explained + BETTER && motion.allows(&other.pose) {
-                    found = other;
-                }
-            }
+        let mut found = None;
+        if let Some(known) = &self.known {
+            let there = fit(known, points, motion, &prior);
+            let is_good = there.known >= KNOWN_ENOUGH && there.explained >= AGAIN_PART * self.usual;
+            found = (is_good && motion.allows(&there.pose)).then_some(there);
         }
+        let found = match found {
+            Some(found) => found,
+            // Nothing was added since the place was found.
+            None if self.current.keys() == 0 => return self.miss(motion, Doubt::Poor),
+            None => fit(&self.current, points, motion, &prior),
+        };
         let fits = if self.probation > 0 {
             found.known >= AGAIN_KNOWN && found.explained >= AGAIN_PART * self.usual
         } else {
@@ -308,28 +377,48 @@ impl Localizer {
         Some(if is_lost { Doubt::Lost } else { doubt })
     }
 
-    /// Searches one of the maps now and then, each in its turn, the present one first.
+    /// Searches one of the maps now and then, each in its turn: the known one, the present one, the former ones.
     fn find_back(&mut self, motion: &mut Motion) -> Option<Doubt> {
         self.searching += 1;
         if self.points.thinned.len() < FEWEST || !self.searching.is_multiple_of(SEARCH_EVERY) {
             return Some(Doubt::Lost);
         }
-        let number = self.searched;
-        self.searched = (number + 1) % (self.former.len() + 1);
-        let map = number.checked_sub(1).map_or(&self.current, |former| &self.former[former]);
-        let Some(found) = only_place(map, &self.points.thinned) else { return Some(Doubt::Lost) };
-        if number > 0 {
-            // What was seen since is of no use here: its place against this map is not known well enough.
-            let map = self.former.remove(number - 1);
+        let own = (self.current.keys() > 0).then_some(&self.current);
+        let maps: Vec<&Submap> = self.known.iter().chain(own).chain(&self.former).collect();
+        let number = self.searched % maps.len().max(1);
+        self.searched = number + 1;
+        let Some(&map) = maps.get(number) else { return Some(Doubt::Lost) };
+        let recognized = recognize(map, &self.points);
+        self.is_ambiguous = matches!(recognized, Recognized::Several);
+        self.ambiguous += u64::from(self.is_ambiguous);
+        let found = match recognized {
+            Recognized::Here(found) => found,
+            Recognized::Several => {
+                return Some(Doubt::Ambiguous);
+            }
+            Recognized::Nowhere => return Some(Doubt::Lost),
+        };
+        // What was seen since is of no use in another map: its place against that one is not known well enough.
+        let is_known = self.known.is_some() && number == 0;
+        let former = number.checked_sub(maps.len() - self.former.len());
+        if is_known || former.is_some() {
+            let map = former.map(|former| self.former.remove(former)).unwrap_or_default();
             let left = std::mem::replace(&mut self.current, map);
             self.following = Submap::default();
             self.submap_way = 0.0;
-            self.keep(left);
+            self.last_key = None;
+            if left.keys() > 0 {
+                self.keep(left);
+            }
         }
         motion.jump(&found);
         self.good_ns = motion.stamp_ns;
         (self.searching, self.searched) = (0, 0);
-        // The next scan shows whether it holds.
+        if self.usual == 0.0 {
+            self.usual = found.explained;
+        }
+        // The next scans show whether it holds.
+        self.probation = PROBATION;
         self.tracking = Tracking::Degraded;
         Some(Doubt::Ambiguous)
     }
@@ -346,18 +435,7 @@ impl Localizer {
         let at = motion.pose;
         let covariance = motion.pose_covariance();
         if doubt.is_none() && self.is_key(&at) {
-            if let Some(last) = self.last_key {
-                self.submap_way += (at.translation.vector - last.translation.vector).norm();
-            }
-            self.last_key = Some(at);
-            if self.submap_way > self.settings.submap_way {
-                self.submap_way = 0.0;
-                let following = std::mem::take(&mut self.following);
-                let left = std::mem::replace(&mut self.current, following);
-                self.keep(left);
-            }
-            self.current.insert(&self.points, &at);
-            self.following.insert(&self.points, &at);
+            self.add_key(&at);
         }
         self.motion = Some(motion);
         let c = |row: usize, column: usize| covariance[(row, column)] * CAUTION * CAUTION;
@@ -366,6 +444,22 @@ impl Localizer {
             doubt,
             ..self.finish_without(at, start, end)
         }
+    }
+
+    /// Adds the points to the matching maps, and begins a new one where it is time to.
+    fn add_key(&mut self, at: &Pose) {
+        if let Some(last) = self.last_key {
+            self.submap_way += (at.translation.vector - last.translation.vector).norm();
+        }
+        self.last_key = Some(*at);
+        if self.submap_way > self.settings.submap_way {
+            self.submap_way = 0.0;
+            let following = std::mem::take(&mut self.following);
+            let left = std::mem::replace(&mut self.current, following);
+            self.keep(left);
+        }
+        self.current.insert(&self.points, at);
+        self.following.insert(&self.points, at);
     }
 
     fn finish_without(&self, at: Pose, start: Pose, end: Pose) -> Located {
@@ -409,8 +503,22 @@ const PROBATION: u32 = 20;
 const USUAL_MEMORY: f64 = 0.02;
 /// A search looks as well where the place or the heading is less sure than this (m, rad): a refinement finds no farther.
 const NARROW: [f64; 2] = [0.06, 0.03];
-/// A place that a search finds is believed where this share of the points is explained.
-const FOUND: f64 = 0.7;
+/// Share of the points that must lie on something for a place to be looked at more closely. It is half as much as at the right
+/// place, in steps of a cell; less, and a search of a map in which it is not takes seconds.
+const CANDIDATE: f64 = 0.45;
+/// A place that a search finds is believed where this share of the points is explained,
+const FOUND: f64 = 0.8;
+/// ... no more than this share of the beams would have gone through a wall: a door that was open is shut,
+const CONTRADICTED: f64 = 0.15;
+/// ... and the next best place, as far as this share of the points is known there, fits no better than this part as well,
+const ONLY: f64 = 0.8;
+/// See [`ONLY`].
+const KNOWN_WELL: f64 = 0.8;
+/// ... or leaves so many times as much unexplained, and this share of the points more: the same place in another corner of a
+/// building that looks alike from all sides. People who stand around leave a tenth unexplained at the right place.
+const UNLIKE: [f64; 2] = [3.0, 0.1];
+/// The known map tells where it holds at least this share of the points.
+const KNOWN_ENOUGH: f64 = 0.5;
 /// While lost, one scan in this many is searched for: a search takes up to 0.4 s, and the queue before the mapper holds 2 s.
 const SEARCH_EVERY: u32 = 40;
 /// For so long the motion is believed without a good match: an even one, and that of odometry (ns).
@@ -426,20 +534,70 @@ fn free(pose: Pose) -> Prior {
     Prior { pose, information: Matrix3::zeros() }
 }
 
-/// The place where the points fit the map, if there is exactly one.
-fn only_place(map: &Submap, points: &[points::ScanPoint]) -> Option<Match> {
-    let candidates = search::anywhere(map, points, 0.3);
-    let mut matches: Vec<Match> =
-        candidates.iter().map(|candidate| refine(map, points, &free(candidate.pose))).collect();
-    let fit = |found: &Match| found.explained * found.known;
-    matches.sort_by(|a, b| fit(b).total_cmp(&fit(a)));
-    let best = matches.first().copied()?;
-    let is_other = |found: &&Match| {
-        let off = difference(&found.pose, &best.pose);
-        off.xy().norm() > 0.5 || off.z.abs() > 0.3
-    };
-    let second = matches.iter().find(is_other).map_or(0.0, fit);
-    (best.explained >= FOUND && best.known >= 0.6 && second <= 0.8 * fit(&best)).then_some(best)
+/// The best match near the expected pose; wherever that is not sure or fits badly, a search looks around it.
+fn fit(map: &Submap, points: &[points::ScanPoint], motion: &Motion, prior: &Prior) -> Match {
+    let mut found = refine(map, points, prior);
+    let [place, heading] = motion.sigmas();
+    if found.explained < GOOD || place > NARROW[0] || heading > NARROW[1] {
+        let window = Window { reach: (3.0 * place).clamp(0.2, 1.0), turn: (3.0 * heading).clamp(0.1, 0.5) };
+        for candidate in search::around(map, points, &prior.pose, window) {
+            let other = refine(map, points, &free(candidate.pose));
+            if other.explained > found.explained + BETTER && motion.allows(&other.pose) {
+                found = other;
+            }
+        }
+    }
+    found
+}
+
+/// What a search of a whole map finds.
+enum Recognized {
+    /// The one place where the points fit.
+    Here(Match),
+    /// They fit in several.
+    Several,
+    /// They fit nowhere.
+    Nowhere,
+}
+
+/// Where in all of the map the points fit.
+fn recognize(map: &Submap, points: &Points) -> Recognized {
+    let candidates = search::anywhere(map, &points.thinned, CANDIDATE);
+    let mut matches: Vec<(f64, f64, Match)> = candidates
+        .iter()
+        .map(|candidate| {
+            let found = refine(map, &points.thinned, &free(candidate.pose));
+            let unlike = contradicted(map, points, &found.pose);
+            (found.explained * (1.0 - unlike), unlike, found)
+        })
+        .collect();
+    let sure = |(fit, _, found): &(f64, f64, Match)| fit * found.known;
+    matches.sort_by(|a, b| sure(b).total_cmp(&sure(a)));
+    let Some(first) = matches.first() else { return Recognized::Nowhere };
+    let (fit, (_, unlike, best)) = (sure(first), *first);
+    if best.explained < FOUND || best.known < AGAIN_KNOWN || unlike > CONTRADICTED {
+        return Recognized::Nowhere;
+    }
+    // Another place may be the right one although less of it is known.
+    let second = matches
+        .iter()
+        .filter(|(.., found)| {
+            let off = difference(&found.pose, &best.pose);
+            off.xy().norm() > 0.5 || off.z.abs() > 0.3
+        })
+        .map(|(fit, _, found)| fit * (found.known / KNOWN_WELL).min(1.0))
+        .fold(0.0, f64::max);
+    let is_only = second <= ONLY * fit || 1.0 - second >= UNLIKE[0] * (1.0 - fit) + UNLIKE[1];
+    if is_only { Recognized::Here(best) } else { Recognized::Several }
+}
+
+/// Share of the beams that would have gone through what hides all behind it.
+fn contradicted(map: &Submap, points: &Points, at: &Pose) -> f64 {
+    // One in four is enough.
+    let beams = points.beams.iter().step_by(4);
+    let all = beams.len().max(1);
+    let against = beams.filter(|beam| map.contradicts(at * beam.from, at * beam.to)).count();
+    against as f64 / all as f64
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use anyhow::anyhow;
+use anyhow::{Context, anyhow};
 use clap::Parser;
 use log::{info, warn};
 use visagged::cli::{Cli, Command, ReplayArgs, RunArgs, WHAT_IS_NEEDED};
@@ -16,6 +16,7 @@ use visagged::output::Outputs;
 use visagged::recover;
 use visagged::replay::{self, ReplayError, ReplayOptions};
 use visagged::report::Report;
+use visagged::saved::LoadError;
 use visagged::{input::InputError, logging};
 
 fn main() -> ExitCode {
@@ -58,6 +59,8 @@ fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
     }
     let mut config = load(args.config.as_deref())?;
     args.override_config(&mut config);
+    // Once more: the command line may ask for what does not go together.
+    config.check().map_err(|error| Failure::new(Exit::Config, error))?;
     let Some(url) = config.device.url.clone() else {
         return Err(match args.config {
             Some(_) => {
@@ -66,7 +69,7 @@ fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
             None => Failure::new(Exit::Usage, anyhow!("which scanner? Give --device URL, or --config FILE")),
         });
     };
-    if config.output.folder.is_none() && !config.record.enabled {
+    if config.output.folder.is_none() && !config.record.enabled && config.map.file.is_none() {
         warn!("neither a map nor a recording will be kept; --out DIR and --record do that");
     }
     let session = device::session_settings(&config.device, &url);
@@ -80,6 +83,7 @@ fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
         _ => None,
     };
     config.mapper.poses = config.pose.source.pose_use();
+    config.mapper.fallback = config.pose.fallback;
     if config.pose.source == PoseSource::None {
         warn!("no scan will be mapped without poses; --pose SRC says where they come from");
     }
@@ -187,6 +191,9 @@ fn replay_files(args: &ReplayArgs) -> Result<ExitCode, Failure> {
         mapper: args.config.as_deref().map(|file| load(Some(file))).transpose()?.map(|config| config.mapper),
         mapper_kind: args.mapper,
         ignore_beams: args.ignore_beams.clone(),
+        map: args.map.clone(),
+        fresh: args.fresh,
+        optimize: args.optimize,
     };
     let mut outputs = Outputs::create(&args.out).map_err(io)?;
     let mut output_error = None;
@@ -211,7 +218,8 @@ fn replay_files(args: &ReplayArgs) -> Result<ExitCode, Failure> {
         warn!("{}: not readable from byte {}: {}", damage.file.display(), damage.offset, damage.what);
     }
     let map = replayed.mapper.map();
-    let mapper = replayed.mapper.report();
+    let mut mapper = replayed.mapper.report();
+    mapper.localization = mapper.localization.or(replayed.localization.take());
     info!(
         "{} of {} scans are in the map, {:.0} us each; {:.1} s in all",
         mapper.scans_inserted,
@@ -225,6 +233,16 @@ fn replay_files(args: &ReplayArgs) -> Result<ExitCode, Failure> {
     let report =
         Report::of_replay(&map, mapper, replayed.input, &replayed.settings, started_s, started.elapsed());
     outputs.write(&map, &report).map_err(io)?;
+    if let Some(file) = &mut replayed.map_file {
+        match replayed.mapper.save() {
+            Some(saved) => file
+                .save(&saved)
+                .with_context(|| format!("the map cannot be saved as {}", file.path().display()))
+                .map_err(io)?,
+            None => warn!("{} is not written: only visagge and paper can be saved", file.path().display()),
+        }
+        info!("kept for the next run: {}", file.path().display());
+    }
     if args.explain {
         outputs.write_explained(&map).map_err(io)?;
     }
@@ -235,7 +253,8 @@ fn replay_files(args: &ReplayArgs) -> Result<ExitCode, Failure> {
 /// What the user can change by other arguments is usage; what cannot be read is input and output.
 fn replay_failure(error: ReplayError) -> Failure {
     let exit = match &error {
-        ReplayError::Settings(_) => Exit::Config,
+        ReplayError::Map(LoadError::Io { .. }) => Exit::Io,
+        ReplayError::Settings(_) | ReplayError::Map(_) | ReplayError::GoingOn { .. } => Exit::Config,
         ReplayError::Input(InputError::Io { .. } | InputError::Line { .. }) => Exit::Io,
         ReplayError::Input(_) => Exit::Usage,
     };

@@ -6,10 +6,16 @@
 //! the scans are [located](crate::localize) by what was seen before, with odometry as a guide where it comes.
 
 use crate::{
-    grid::{Grid, sweep::Sweep, visagge::VisaggeSettings},
-    localize::{Doubt, LocalizeSettings, Localizer, Tracking, Wheels},
+    grid::{
+        Grid,
+        saved::BadGrid,
+        sweep::Sweep,
+        visagge::{Visagge, VisaggeSettings},
+    },
+    localize::{Doubt, LocalizeSettings, Localizer, Tracking, Wheels, known::matching_map},
     map::Map,
     pose::{NoPose, Pose, PoseBuffer, StampedPose, pose},
+    saved::{Misfit, SavedMap},
     scan::Scan,
 };
 use hdrhistogram::Histogram;
@@ -43,6 +49,17 @@ pub enum PoseUse {
     Map,
     /// Odometry, which drifts, or nothing at all: scans are matched with the map.
     Odometry,
+}
+
+/// What becomes of scans for which no poses in the map come.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Fallback {
+    /// They are not inserted.
+    #[default]
+    Skip,
+    /// They are matched with what was mapped before, until poses come again.
+    Match,
 }
 
 /// Where the scanner is mounted on the robot.
@@ -84,6 +101,8 @@ pub struct MapperSettings {
     pub pose_gap: f64,
     /// What the poses are that come: map or odometry. Default map; live, `pose.source` decides.
     pub poses: PoseUse,
+    /// What is done with scans for which no poses in the map come. Default skip; live, `pose.fallback` decides.
+    pub fallback: Fallback,
     /// How scans are located, where poses are odometry or there are none.
     pub localize: LocalizeSettings,
     /// What the VisAGGE grid assumes.
@@ -100,6 +119,7 @@ impl Default for MapperSettings {
             pose_wait: 0.5,
             pose_gap: 0.25,
             poses: PoseUse::default(),
+            fallback: Fallback::default(),
             localize: LocalizeSettings::default(),
             visagge: VisaggeSettings::default(),
         }
@@ -167,6 +187,17 @@ pub enum Outcome {
     },
 }
 
+/// Why a mapper cannot go on in a saved map.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum GoingOnError {
+    /// The settings are for another one.
+    #[error(transparent)]
+    Misfit(#[from] Misfit),
+    /// It is none.
+    #[error(transparent)]
+    Grid(#[from] BadGrid),
+}
+
 /// How well the place was known.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LocalizeReport {
@@ -176,14 +207,35 @@ pub struct LocalizeReport {
     pub scans: BTreeMap<Tracking, u64>,
     /// Times that the place was lost.
     pub lost: u64,
-    /// Times that it was found again.
+    /// Times that it was found again, or at all in a map that was loaded.
     pub found: u64,
+    /// Searches after which several places were as good as each other, so that none was taken.
+    pub ambiguous: u64,
+    /// Scans that were matched and inserted because no poses in the map came for them.
+    pub fallen_back: u64,
+    /// Whether the last search was one of these.
+    #[serde(skip)]
+    pub searched_in_vain: bool,
     /// Covariance of the last pose: xx, xy, xa, yy, ya, aa (m2, m rad, rad2).
     pub covariance: [f64; 6],
     /// CPU time of locating one scan (us).
     pub match_us: InsertTime,
     /// Memory that the matching maps hold (bytes).
     pub bytes: usize,
+}
+
+impl LocalizeReport {
+    /// How well the place is known, to be put behind a line that says what is mapped; nothing where all is well.
+    pub fn in_words(&self) -> &'static str {
+        match self.state {
+            Tracking::Starting | Tracking::Tracking => "",
+            Tracking::Degraded => ", the scans fit badly",
+            Tracking::Lost if self.searched_in_vain => {
+                ", place not known: it looks like several places of the map"
+            }
+            Tracking::Lost => ", place not known: searching the map",
+        }
+    }
 }
 
 /// CPU time of insertions (us).
@@ -204,8 +256,10 @@ pub struct InsertTime {
 pub struct MapperReport {
     /// Scans that came.
     pub scans_read: u64,
-    /// Scans in the map.
+    /// Scans that were put into the map.
     pub scans_inserted: u64,
+    /// Scans that were in it already when it was loaded.
+    pub scans_loaded: u64,
     /// Scans that are not, by reason.
     pub scans_skipped: BTreeMap<SkipReason, u64>,
     /// Scans that the numbers of those that came show to be missing.
@@ -232,6 +286,7 @@ struct Matching {
     scans: BTreeMap<Tracking, u64>,
     lost: u64,
     found: u64,
+    fallen_back: u64,
     covariance: [f64; 6],
     time_ns: Histogram<u64>,
 }
@@ -250,6 +305,8 @@ pub struct Mapper {
     insert_ns: Histogram<u64>,
     read: u64,
     inserted: u64,
+    /// By earlier runs in the same map.
+    inserted_before: u64,
     skipped: BTreeMap<SkipReason, u64>,
     missing: u64,
     poses_read: u64,
@@ -259,9 +316,34 @@ pub struct Mapper {
 impl Mapper {
     /// A mapper with an empty map.
     pub fn new(settings: MapperSettings) -> Mapper {
+        let localizer = Localizer::new(settings.localize.clone(), settings.mount.pose());
+        Mapper::with(Grid::new(&settings), localizer, settings)
+    }
+
+    /// A mapper that goes on in a map that was saved. Poses that are given are taken for poses in it; where scans are
+    /// matched, none is inserted until its place has been found.
+    ///
+    /// # Errors
+    /// Where the map [does not fit](SavedMap::fits) the settings, or is none.
+    pub fn going_on(saved: &SavedMap, settings: MapperSettings) -> Result<Mapper, GoingOnError> {
+        saved.fits(&settings)?;
+        let mut grid = Visagge::load(&saved.grid, settings.visagge.clone())?;
+        let (localize, mount) = (settings.localize.clone(), settings.mount.pose());
+        // A map of nothing holds no place to be found.
+        let localizer = if saved.scans > 0 {
+            Localizer::in_known(localize, mount, matching_map(&grid.known(), grid.resolution()))
+        } else {
+            Localizer::new(localize, mount)
+        };
+        let mapper = Mapper::with(Grid::Visagge(Box::new(grid)), localizer, settings);
+        Ok(Mapper { inserted_before: saved.scans, ..mapper })
+    }
+
+    fn with(grid: Grid, localizer: Localizer, settings: MapperSettings) -> Mapper {
         Mapper {
-            grid: Grid::new(&settings),
-            matching: (settings.poses == PoseUse::Odometry).then(|| Matching::new(&settings)),
+            grid,
+            matching: (settings.poses == PoseUse::Odometry || settings.fallback == Fallback::Match)
+                .then(|| Matching::new(localizer)),
             settings,
             poses: PoseBuffer::default(),
             waiting: VecDeque::new(),
@@ -270,6 +352,7 @@ impl Mapper {
             insert_ns: times(),
             read: 0,
             inserted: 0,
+            inserted_before: 0,
             skipped: BTreeMap::new(),
             missing: 0,
             poses_read: 0,
@@ -294,6 +377,21 @@ impl Mapper {
         self.prepare(&mut scan);
         self.waiting.push_back(scan);
         self.take_waiting(now_ns);
+    }
+
+    /// Takes in a scan of which somebody else has found out where it was taken (base_link at its first and last beam), or why
+    /// it is not to be inserted.
+    pub fn on_located(&mut self, mut scan: Scan, at: Result<(Pose, Pose), SkipReason>) {
+        self.read += 1;
+        if let Some((seq, _)) = self.last {
+            self.missing += scan.seq.saturating_sub(seq + 1);
+        }
+        self.last = Some((scan.seq, scan.stamp_ns));
+        self.prepare(&mut scan);
+        match at {
+            Ok((start, end)) => self.insert(&scan, start, end, None),
+            Err(reason) => self.skip(&scan, reason),
+        }
     }
 
     /// Takes in a pose of base_link.
@@ -322,11 +420,22 @@ impl Mapper {
         self.grid.map()
     }
 
+    /// Scans that were put into the map so far.
+    pub fn scans_inserted(&self) -> u64 {
+        self.inserted
+    }
+
+    /// All that the grid knows, for the next run; `None` for the grids that are for comparison.
+    pub fn save(&self) -> Option<SavedMap> {
+        self.grid.save().map(|grid| SavedMap::new(grid, self.inserted_before + self.inserted))
+    }
+
     /// What was done so far.
     pub fn report(&self) -> MapperReport {
         MapperReport {
             scans_read: self.read,
             scans_inserted: self.inserted,
+            scans_loaded: self.inserted_before,
             scans_skipped: self.skipped.clone(),
             scans_missing: self.missing,
             poses_read: self.poses_read,
@@ -338,7 +447,7 @@ impl Mapper {
     }
 
     /// Brings the beams into the sense of the robot and blanks those that show the robot itself.
-    fn prepare(&self, scan: &mut Scan) {
+    pub(crate) fn prepare(&self, scan: &mut Scan) {
         if self.settings.mount.upside_down {
             scan.geometry.angle_min = -scan.geometry.angle_min;
             scan.geometry.angle_increment = -scan.geometry.angle_increment;
@@ -353,7 +462,7 @@ impl Mapper {
 
     /// Decides on the scans that can be decided on at this moment.
     fn take_waiting(&mut self, now_ns: i64) {
-        if self.matching.is_some() {
+        if self.settings.poses == PoseUse::Odometry {
             return self.locate_waiting(now_ns);
         }
         self.insert_waiting();
@@ -406,6 +515,9 @@ impl Mapper {
                 (Err(NoPose::NotYet), _) | (_, Err(NoPose::NotYet)) => return,
                 (Ok(start), Ok(end)) => {
                     let scan = self.waiting.pop_front().expect("it is the front one");
+                    if let Some(matching) = &mut self.matching {
+                        matching.follow_given(&scan, &start, &end);
+                    }
                     self.insert(&scan, start, end, None);
                     continue;
                 }
@@ -414,10 +526,27 @@ impl Mapper {
                 (Err(NoPose::Gap), _) | (_, Err(NoPose::Gap)) => SkipReason::PoseGap,
             };
             let scan = self.waiting.pop_front().expect("it is the front one");
-            self.skip(&scan, reason);
+            self.without_pose(&scan, reason);
         }
         if let Some((_, stamp_ns)) = self.last {
             self.poses.forget_before(stamp_ns);
+        }
+    }
+
+    /// A scan for which there is no pose: matched where that is wanted and something was mapped before, else not inserted.
+    fn without_pose(&mut self, scan: &Scan, reason: SkipReason) {
+        let Some(matching) = self.matching.as_mut().filter(|matching| matching.localizer.has_begun()) else {
+            return self.skip(scan, reason);
+        };
+        let before = cpu_ns();
+        let located = matching.locate(scan, None);
+        matching.time_ns.saturating_record(cpu_ns() - before);
+        match located.doubt {
+            None => {
+                matching.fallen_back += 1;
+                self.insert(scan, located.start, located.end, Some(located.covariance));
+            }
+            Some(doubt) => self.skip(scan, doubt.into()),
         }
     }
 
@@ -426,7 +555,7 @@ impl Mapper {
         let wait_ns = wait_ns(&self.settings);
         while self.waiting.front().is_some_and(|scan| now_ns.saturating_sub(scan.received_ns) > wait_ns) {
             let scan = self.waiting.pop_front().expect("it is the front one");
-            self.skip(&scan, SkipReason::NoPose);
+            self.without_pose(&scan, SkipReason::NoPose);
         }
     }
 
@@ -448,13 +577,14 @@ impl Mapper {
 }
 
 impl Matching {
-    fn new(settings: &MapperSettings) -> Matching {
+    fn new(localizer: Localizer) -> Matching {
         Matching {
-            localizer: Localizer::new(settings.localize.clone(), settings.mount.pose()),
+            localizer,
             is_silent: false,
             scans: BTreeMap::new(),
             lost: 0,
             found: 0,
+            fallen_back: 0,
             covariance: [0.0; 6],
             time_ns: times(),
         }
@@ -472,12 +602,21 @@ impl Matching {
         located
     }
 
+    /// Somebody else has located a scan.
+    fn follow_given(&mut self, scan: &Scan, start: &Pose, end: &Pose) {
+        self.localizer.follow_given(scan, start, end);
+        *self.scans.entry(Tracking::Tracking).or_default() += 1;
+    }
+
     fn report(&self) -> LocalizeReport {
         LocalizeReport {
             state: self.localizer.tracking(),
             scans: self.scans.clone(),
             lost: self.lost,
             found: self.found,
+            ambiguous: self.localizer.ambiguous(),
+            fallen_back: self.fallen_back,
+            searched_in_vain: self.localizer.is_ambiguous(),
             covariance: self.covariance,
             match_us: InsertTime::of(&self.time_ns),
             bytes: self.localizer.bytes(),
@@ -628,6 +767,40 @@ mod tests {
         let report = mapper.report().localization.unwrap();
         assert_eq!((report.state, report.lost), (Tracking::Tracking, 0));
         assert_eq!(report.scans[&Tracking::Tracking], 5);
+    }
+
+    #[test]
+    fn when_poses_stop_scans_are_matched_where_that_is_wanted() {
+        for fallback in [Fallback::Skip, Fallback::Match] {
+            let mut mapper = Mapper::new(MapperSettings { fallback, ..MapperSettings::default() });
+            // Before any pose there is nothing to match with, and no pose to begin at.
+            mapper.on_scan(in_a_room(0, 0));
+            let place = pose(4.0, -3.0, 1.0);
+            for ms in [600, 650, 700, 750] {
+                mapper.on_pose(StampedPose { pose: place, ..at(ms, 0) });
+            }
+            (1..5).for_each(|seq| mapper.on_scan(in_a_room(seq, 590 + 25 * seq as i64)));
+            // No more poses come.
+            (5..60).for_each(|seq| mapper.on_scan(in_a_room(seq, 750 + 25 * seq as i64)));
+            mapper.finish();
+            let mut skipped = 0;
+            while let Some(outcome) = mapper.next_outcome() {
+                match outcome {
+                    Outcome::Inserted { seq, start, covariance, .. } => {
+                        assert_eq!(covariance.is_some(), seq >= 5, "{seq}");
+                        let off = place.inverse() * start;
+                        assert!(off.translation.vector.norm() < 0.01 && off.rotation.angle().abs() < 0.01);
+                    }
+                    Outcome::Skipped { reason, .. } => {
+                        skipped += 1;
+                        assert!(matches!(reason, SkipReason::NoPose | SkipReason::BeforeFirstPose));
+                    }
+                }
+            }
+            let matched = mapper.report().localization.map_or(0, |report| report.fallen_back);
+            let wanted = if fallback == Fallback::Match { (1, 55) } else { (56, 0) };
+            assert_eq!((skipped, matched), wanted);
+        }
     }
 
     #[test]

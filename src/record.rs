@@ -39,6 +39,8 @@ pub const ACTIVE: &str = "active";
 pub const SESSION: &str = "visagge.session";
 /// Name of the MCAP metadata record with the device's answers to VV, PP and II.
 pub const DEVICE: &str = "visagge.device";
+/// Name of the attachment with the map that the run went on in, as [`saved`](crate::saved) has it.
+pub const BEGUN_WITH: &str = "begun-with.map";
 /// Topics whose content a replay needs.
 pub mod topic {
     /// Bytes of the port.

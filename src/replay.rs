@@ -2,11 +2,14 @@
 //!
 //! Not the map's files, which the caller writes, and not the formats, which are in `input`.
 
+mod optimize;
+
 use std::path::PathBuf;
 
 use crate::input::{self, InputError, InputOptions, InputReport, Sink};
-use crate::mapper::{Mapper, MapperKind, MapperSettings, Mount, Outcome};
+use crate::mapper::{GoingOnError, LocalizeReport, Mapper, MapperKind, MapperSettings, Mount, Outcome};
 use crate::pose::StampedPose;
+use crate::saved::{LoadError, MapFile, SavedMap};
 use crate::scan::Scan;
 
 /// What to replay, and how.
@@ -22,6 +25,12 @@ pub struct ReplayOptions {
     pub mapper_kind: Option<MapperKind>,
     /// Beams that show the robot, beside those of the settings: first and last of each group.
     pub ignore_beams: Vec<[usize; 2]>,
+    /// File of the map to go on in where it is there, in the place of the one that the recorded run went on in.
+    pub map: Option<PathBuf>,
+    /// Whether to begin an empty map in any case.
+    pub fresh: bool,
+    /// Whether to close the drive's loops, in a second pass; the map begins empty then.
+    pub optimize: bool,
 }
 
 /// Why a replay ended without a map.
@@ -35,6 +44,17 @@ pub enum ReplayError {
         "the recording was made with settings that this version does not know ({0}); give --config FILE instead"
     )]
     Settings(serde_json::Error),
+    /// The map to go on in cannot be used.
+    #[error(transparent)]
+    Map(#[from] LoadError),
+    /// The map to go on in is none.
+    #[error("the map {}: {error}", path.display())]
+    GoingOn {
+        /// Its file.
+        path: PathBuf,
+        /// Why not.
+        error: GoingOnError,
+    },
 }
 
 /// How far a replay is.
@@ -55,6 +75,10 @@ pub struct Replay {
     pub settings: MapperSettings,
     /// What was read.
     pub input: InputReport,
+    /// How the scans were located where another pass did it.
+    pub localization: Option<Box<LocalizeReport>>,
+    /// Where the map is to be saved, if it is.
+    pub map_file: Option<MapFile>,
 }
 
 /// Replays all of `options.inputs`. `on_outcome` gets what became of each scan, in order, with the time since 1970 as its
@@ -67,12 +91,16 @@ pub fn run(
     on_outcome: &mut dyn FnMut(Outcome),
     on_progress: &mut dyn FnMut(Progress),
 ) -> Result<Replay, ReplayError> {
+    if options.optimize {
+        return optimize::run(options, on_outcome, on_progress);
+    }
     let mut report = InputReport::default();
     let mut source = input::open(&options.inputs, &options.input, &mut report)?;
     let settings = settings(options, source.as_ref())?;
+    let (mapper, map_file) = begin(options, &settings, source.begun_with(), &mut report)?;
     let total = source.bytes();
     let mut feeder = Feeder {
-        mapper: Mapper::new(settings.clone()),
+        mapper,
         wall_offset_ns: source.wall_offset_ns(),
         on_outcome,
         on_progress,
@@ -82,7 +110,38 @@ pub fn run(
     feeder.mapper.finish();
     feeder.give_outcomes();
     feeder.progress(total);
-    Ok(Replay { mapper: feeder.mapper, settings, input: report })
+    Ok(Replay { mapper: feeder.mapper, localization: None, settings, input: report, map_file })
+}
+
+/// A mapper in the map that it is to go on in, or else an empty one; and where it is to be saved.
+fn begin(
+    options: &ReplayOptions,
+    settings: &MapperSettings,
+    begun_with: Option<&[u8]>,
+    report: &mut InputReport,
+) -> Result<(Mapper, Option<MapFile>), ReplayError> {
+    if let Some(path) = &options.map {
+        let (file, saved) = MapFile::open(path, options.fresh, settings)?;
+        let mapper = match saved {
+            None => Mapper::new(settings.clone()),
+            Some(loaded) => Mapper::going_on(&loaded.map, settings.clone())
+                .map_err(|error| ReplayError::GoingOn { path: path.clone(), error })?,
+        };
+        return Ok((mapper, Some(file)));
+    }
+    let Some(bytes) = begun_with.filter(|_| !options.fresh) else {
+        return Ok((Mapper::new(settings.clone()), None));
+    };
+    let going_on = SavedMap::decode(bytes)
+        .map_err(|damage| damage.to_string())
+        .and_then(|saved| Mapper::going_on(&saved, settings.clone()).map_err(|error| error.to_string()));
+    let mapper = going_on.unwrap_or_else(|why| {
+        report.note(format!(
+            "the recorded run went on in a map that is of no use here ({why}); this one begins empty"
+        ));
+        Mapper::new(settings.clone())
+    });
+    Ok((mapper, None))
 }
 
 /// The options' settings or else the recording's, with what the input tells of the mount where the options do not.

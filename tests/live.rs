@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
+use visagged::saved::SavedMap;
+
 /// How long anything may take before a test gives up.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -144,9 +146,20 @@ fn with_the_scanner_alone_the_replay_finds_the_same_poses() {
             poses.collect()
         };
         assert_eq!(poses(name), poses(&replayed));
-        assert!(
-            fs::read(at(name).join("map.npz")).unwrap() == fs::read(at(&replayed).join("map.npz")).unwrap()
-        );
+        let map = |folder: &str| fs::read(at(folder).join("map.npz")).unwrap();
+        assert!(map(name) == map(&replayed));
+
+        // There is no loop in it to be closed, and what is good is not touched.
+        let optimized = format!("{name}-optimized");
+        let arguments = ["replay", files[0].to_str().unwrap(), "--optimize", "--out", &optimized];
+        assert!(Daemon::start(folder.path(), &arguments, None).wait().success());
+        assert_eq!(poses(name), poses(&optimized));
+        assert!(map(name) == map(&optimized));
+        let again = json(&at(&optimized).join("report.json"));
+        for key in ["scans_read", "scans_inserted", "scans_skipped", "scans_missing"] {
+            assert_eq!(again[key], report[key], "{key}");
+        }
+        assert_eq!(again["localization"]["state"], "tracking", "{again:#}");
     }
 }
 
@@ -335,6 +348,105 @@ fn a_recording_that_was_cut_is_completed_at_the_next_start() {
         recordings(&recorded).into_iter().filter(|file| file.extension().unwrap() == "mcap").collect();
     assert_eq!(whole.len(), 2, "{:?}", recordings(&recorded));
     assert!(whole.iter().all(complete));
+}
+
+/// Places of a trajectory (m).
+fn places(file: &Path) -> Vec<[f64; 2]> {
+    let text = fs::read_to_string(file).unwrap_or_default();
+    let numbers =
+        |line: &str| -> Vec<f64> { line.split(' ').map(|number| number.parse().unwrap()).collect() };
+    text.lines().map(numbers).map(|pose| [pose[1], pose[2]]).collect()
+}
+
+#[test]
+fn who_is_killed_goes_on_in_the_same_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let settings = "[output]\nevery_s = 1.0\n[map]\nfile = \"kept.map\"\nevery_s = 1.0\n";
+    fs::write(at("visagged.toml"), settings).unwrap();
+    let kept = || SavedMap::decode(&fs::read(at("kept.map")).ok()?).ok();
+    let arguments = ["--config", "visagged.toml", "--device", "sim:hall", "--pose", "match", "--record"];
+    let first = Daemon::start(folder.path(), &[&arguments[..], &["--out", "first"]].concat(), None);
+    let before = wait_for("a kept map", || kept().filter(|map| map.scans > 150));
+    first.signal("KILL");
+    drop(first);
+    // What was saved last is whole, whenever the end came.
+    let before = kept().filter(|map| map.scans >= before.scans).expect("a whole map");
+    let driven = places(&at("first/trajectory.tum"));
+    assert!(driven.len() > 50);
+
+    let mut second = Daemon::start(
+        folder.path(),
+        &[
+            "--config",
+            "visagged.toml",
+            "--device",
+            "sim:hall",
+            "--pose",
+            "match",
+            "--record=again",
+            "--out",
+            "second",
+        ],
+        None,
+    );
+    let log = || fs::read_to_string(at("log")).unwrap();
+    wait_for("the place and more of the map", || {
+        assert!(second.0.try_wait().unwrap().is_none(), "{}", log());
+        kept().filter(|map| map.scans > before.scans + 100)
+    });
+    second.signal("TERM");
+    assert!(second.wait().success(), "{}", log());
+    assert!(log().contains("goes on"), "{}", log());
+    let report = json(&at("second/report.json"));
+    assert_eq!(report["scans_loaded"], before.scans, "{report:#}");
+    assert_eq!(report["localization"]["found"], 1, "{report:#}");
+    let inserted = report["scans_inserted"].as_u64().unwrap();
+    assert_eq!(kept().unwrap().scans, before.scans + inserted);
+    // The simulated robot begins where it began before, and drives the same way.
+    let again = places(&at("second/trajectory.tum"));
+    let near = |a: &[f64; 2], b: &[f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+    for place in &again[..20] {
+        let off = driven.iter().map(|other| near(place, other)).fold(f64::INFINITY, f64::min);
+        assert!(off < 0.05, "{place:?} is {off} m beside the way of the first run");
+    }
+    // Walls that were seen twice are single: the second drive added little to the first one's.
+    let solid = |map: &SavedMap| -> usize {
+        map.grid
+            .tiles
+            .iter()
+            .flat_map(|tile| tile.cells.iter().flatten())
+            .filter(|cell| cell.hits > 20)
+            .count()
+    };
+    let (cells, more) = (solid(&before), solid(&kept().unwrap()));
+    assert!(more < cells * 3 / 2, "{cells} cells became {more}");
+
+    // The recording holds the map that it went on in.
+    let files = recordings(&at("again"));
+    let replay = ["replay", files[0].to_str().unwrap(), "--out", "replayed"];
+    assert!(Daemon::start(folder.path(), &replay, None).wait().success(), "{}", log());
+    let map = |name: &str| fs::read(at(name).join("map.npz")).unwrap();
+    assert!(map("second") == map("replayed"));
+}
+
+#[test]
+fn a_map_that_cannot_be_gone_on_in_is_left_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("a.map"), b"VISAGGE\n\x01\0\0\0 and something").unwrap();
+    let before = fs::read(at("a.map")).unwrap();
+    let arguments = ["--device", "sim:hall", "--map", "a.map", "--duration", "1"];
+    let status = Daemon::start(folder.path(), &arguments, None).wait();
+    let log = || fs::read_to_string(at("log")).unwrap();
+    assert_eq!(status.code(), Some(78), "{}", log());
+    assert!(log().contains("a.map") && log().contains("--fresh"), "{}", log());
+    assert_eq!(fs::read(at("a.map")).unwrap(), before);
+
+    let arguments = ["--device", "sim:hall", "--map", "a.map", "--fresh", "--duration", "3"];
+    assert!(Daemon::start(folder.path(), &arguments, None).wait().success(), "{}", log());
+    assert_eq!(fs::read(at("a.map.former")).unwrap(), before);
+    assert!(SavedMap::decode(&fs::read(at("a.map")).unwrap()).is_ok());
 }
 
 #[test]

@@ -109,28 +109,33 @@ pub struct Cell {
     /// The last scan that hit it, so that a scan counts once however many beams did.
     pub hit_scan: u32,
     /// The last scan that saw or missed it, or could not tell.
-    looked_scan: u32,
+    pub(super) looked_scan: u32,
     /// phi_VIS: the widest range from which it was continuously observed.
     pub visible: Visible,
     /// The widest such range apart from `visible`; empty where `way` is negative.
     pub visible_too: Visible,
     /// The current run of observation, as of the last look.
-    run: Option<Visible>,
+    pub(super) run: Option<Visible>,
     /// phi_MISS: the range traversed since the cell was last observed or hidden, as of the last look.
-    missed: Option<AngleRange>,
+    pub(super) missed: Option<AngleRange>,
     /// Scans in a row that missed it.
-    missed_scans: u8,
+    pub(super) missed_scans: u8,
     /// The widest `missed` that it survived.
     pub widest_missed: u16,
     /// Mean place of the returns in the cell (cells, 0..1 each).
     pub centroid: [f32; 2],
     /// When the first and the last return landed in it (s since the first scan).
-    hit_time: [f32; 2],
+    pub(super) hit_time: [f32; 2],
 }
 
 impl Cell {
     /// A cell of which nothing is known but that returns are about to land in it.
     pub fn new(place: [u8; 2], was_crossed: bool, look: &Look) -> Cell {
+        Cell::with_visible(place, was_crossed, Visible::at(look))
+    }
+
+    /// The same, visible from this range.
+    pub(super) fn with_visible(place: [u8; 2], was_crossed: bool, visible: Visible) -> Cell {
         Cell {
             place,
             occupancy: 0,
@@ -139,7 +144,7 @@ impl Cell {
             was_crossed,
             hit_scan: 0,
             looked_scan: 0,
-            visible: Visible::at(look),
+            visible,
             visible_too: Visible { way: -1.0, ..Visible::default() },
             run: None,
             missed: None,

@@ -3,9 +3,11 @@
 pub mod angle;
 pub mod cell;
 pub mod free;
+pub mod known;
 mod lanes;
 pub mod ray;
 mod reflection;
+pub mod saved;
 mod single_pass;
 mod snapshot;
 pub mod standard;
@@ -21,6 +23,7 @@ use crate::{
     map::Map,
     mapper::{MapperKind, MapperSettings},
 };
+use saved::SavedGrid;
 use standard::Standard;
 use sweep::Sweep;
 use visagge::Visagge;
@@ -65,6 +68,14 @@ impl Grid {
             Grid::Visagge(grid) => grid.map(),
             Grid::Standard(grid) => grid.map(),
             Grid::Visits(grid) => grid.map(),
+        }
+    }
+
+    /// All that it knows, for a file; `None` for those that are for comparison.
+    pub fn save(&self) -> Option<SavedGrid> {
+        match self {
+            Grid::Visagge(grid) => Some(grid.save()),
+            Grid::Standard(_) | Grid::Visits(_) => None,
         }
     }
 

@@ -53,13 +53,18 @@ impl Frame {
 }
 
 impl Visagge {
-    /// The map as it is now.
-    pub fn map(&mut self) -> Map {
+    /// Decides which cells are shown.
+    pub(super) fn decide(&mut self) {
         if self.as_in_the_paper {
             self.remove_motion();
         } else {
             self.judge();
         }
+    }
+
+    /// The map as it is now.
+    pub fn map(&mut self) -> Map {
+        self.decide();
         let free = |place: TileIndex, rows: &[u64; SIDE as usize]| {
             let rows = *rows;
             (0..SIDE as usize).flat_map(move |row| {

@@ -8,6 +8,7 @@ use super::{
     cell::{Cell, Look, Rule},
     free::Outline,
     lanes,
+    saved::PAUSE_NS,
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
     verdict::Judgement,
@@ -138,6 +139,17 @@ impl Evidence {
         &mut self.cells[slot]
     }
 
+    /// Takes these cells, which lie at different places.
+    pub(super) fn fill(&mut self, cells: impl Iterator<Item = Cell>) {
+        for cell in cells {
+            let number = slot(cell.place);
+            self.slots[number] = self.cells.len() as u16;
+            self.places.push(number as Place);
+            self.judgements.push(Judgement::default());
+            self.cells.push(cell);
+        }
+    }
+
     /// The cell in this column and row, or beside, if something may be seen through it or in it.
     pub(super) fn mirror_at(&self, column: usize, row: usize) -> Option<(&Cell, &Judgement)> {
         let beside = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
@@ -225,13 +237,15 @@ pub struct Visagge {
     outline: Outline,
     sights: Sights,
     /// Number of the last scan: one more for the next, two more where scans were lost in between.
-    scan: u32,
+    pub(super) scan: u32,
     seq: Option<u64>,
-    way: f32,
+    pub(super) way: f32,
     /// Time of the scan (s since the first one).
     time: f32,
     first_stamp_ns: Option<i64>,
-    middle: Option<[f64; 2]>,
+    /// Time from the first scan to the last (ns).
+    pub(super) elapsed_ns: i64,
+    pub(super) middle: Option<[f64; 2]>,
 }
 
 impl Visagge {
@@ -251,6 +265,7 @@ impl Visagge {
             way: 0.0,
             time: 0.0,
             first_stamp_ns: None,
+            elapsed_ns: 0,
             middle: None,
         }
     }
@@ -300,8 +315,11 @@ impl Visagge {
         let follows = self.seq.is_none_or(|last| last + 1 == sweep.scan.seq);
         self.scan += if follows { 1 } else { 2 };
         self.seq = Some(sweep.scan.seq);
-        let first_ns = *self.first_stamp_ns.get_or_insert(sweep.scan.stamp_ns);
-        self.time = ((sweep.scan.stamp_ns - first_ns) as f64 * 1e-9) as f32;
+        // The scans before those that this grid was loaded with were stamped by another clock.
+        let before_ns = if self.middle.is_some() { self.elapsed_ns + PAUSE_NS } else { 0 };
+        let first_ns = *self.first_stamp_ns.get_or_insert(sweep.scan.stamp_ns - before_ns);
+        self.elapsed_ns = sweep.scan.stamp_ns - first_ns;
+        self.time = (self.elapsed_ns as f64 * 1e-9) as f32;
         let middle = [sweep.middle().x, sweep.middle().y];
         if let Some(before) = self.middle {
             self.way += (middle[0] - before[0]).hypot(middle[1] - before[1]) as f32;

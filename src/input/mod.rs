@@ -97,7 +97,7 @@ impl InputReport {
         *self.decode_errors.entry(kind.to_owned()).or_default() += 1;
     }
 
-    fn note(&mut self, note: impl Into<String>) {
+    pub(crate) fn note(&mut self, note: impl Into<String>) {
         self.notes.push(note.into());
     }
 }
@@ -175,6 +175,11 @@ pub trait Source {
 
     /// Settings of the mapper that made the recording.
     fn recorded_mapper(&self) -> Option<&serde_json::Value>;
+
+    /// The map that the recorded run went on in, as bytes of [`saved`](crate::saved).
+    fn begun_with(&self) -> Option<&[u8]> {
+        None
+    }
 
     /// What the poses are that it gives; `None`: what the settings of its mapper say.
     fn pose_use(&self) -> Option<PoseUse>;

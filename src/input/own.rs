@@ -10,7 +10,7 @@ use super::{InputError, InputOptions, InputReport, PoseSource, Sink, Source};
 use crate::cdr::{self, Message};
 use crate::mapper::PoseUse;
 use crate::pose::{Pose, StampedPose};
-use crate::record::{DEVICE, FileInfo, SESSION, topic};
+use crate::record::{BEGUN_WITH, DEVICE, FileInfo, SESSION, topic};
 use crate::scan::Scan;
 
 /// See the module.
@@ -19,6 +19,8 @@ pub struct Recording {
     bytes: u64,
     info: FileInfo,
     mount: Option<Pose>,
+    /// The map that the run went on in.
+    begun_with: Option<Vec<u8>>,
     /// Answer to PP, which a file that does not begin the run has not among its bytes.
     parameters: Option<scip::Parameters>,
     poses: RecordedPoses,
@@ -53,7 +55,7 @@ impl Recording {
     ) -> Result<Self, InputError> {
         report.kind = "recording".to_owned();
         let mut infos: Vec<FileInfo> = Vec::new();
-        let mut parameters = None;
+        let (mut parameters, mut begun_with) = (None, None);
         let mut poses = RecordedPoses::default();
         visit_all(&files, report, &mut |entry, _, report| match entry {
             Entry::Metadata(metadata) if metadata.name == SESSION => {
@@ -70,6 +72,9 @@ impl Recording {
                     .filter_map(|(key, value)| Some((key.strip_prefix("PP.")?, value)));
                 let fields = scip::Fields::new(pp.map(|(key, value)| (key, value.as_str())));
                 parameters = parameters.take().or(scip::Parameters::from_fields(&fields).ok());
+            }
+            Entry::Attachment(attachment) if attachment.name == BEGUN_WITH => {
+                begun_with.get_or_insert_with(|| attachment.data.to_vec());
             }
             Entry::Message { channel, data, .. } if channel.topic == topic::POSE_RECEIVED => {
                 match cdr::PoseReceived::decode(data) {
@@ -108,7 +113,8 @@ impl Recording {
             outside => Poses::from_outside(outside.as_ref())?.map(|poses| on_clock_of(poses, &info)),
         };
         let bytes = report.bytes;
-        Ok(Self { files, bytes, info, mount: options.mount, parameters, poses, other_poses, pose_use })
+        let mount = options.mount;
+        Ok(Self { files, bytes, info, mount, begun_with, parameters, poses, other_poses, pose_use })
     }
 
     fn give_poses(&mut self, number: u64, scan: &Scan, sink: &mut dyn Sink, report: &mut InputReport) {
@@ -153,6 +159,10 @@ impl Source for Recording {
 
     fn recorded_mapper(&self) -> Option<&serde_json::Value> {
         Some(&self.info.info.mapper).filter(|value| !value.is_null())
+    }
+
+    fn begun_with(&self) -> Option<&[u8]> {
+        self.begun_with.as_deref()
     }
 
     fn pose_use(&self) -> Option<PoseUse> {

@@ -12,6 +12,7 @@ use crate::map::Map;
 use crate::mapper::{Mapper, MapperReport, Outcome};
 use crate::pose::{Pose, StampedPose};
 use crate::record::{Attachment, Record};
+use crate::saved::SavedMap;
 use crate::scan::Scan;
 
 /// Longest wait for an entry, so that the watchdog sees a mapper with nothing to do as one that works.
@@ -42,6 +43,8 @@ pub enum FromMapper {
     },
     /// The map as it stands.
     Map(Arc<Map>, Box<MapperReport>),
+    /// All that the grid knows, to be kept for the next run.
+    Saved(Box<SavedMap>),
 }
 
 /// See the module.
@@ -54,6 +57,8 @@ pub struct Mapping {
     pub recorder: Option<Sender<Record>>,
     /// Time between two maps.
     pub map_every: Duration,
+    /// Time between two savings; `None` where the map is not kept.
+    pub save_every: Option<Duration>,
     /// Progress.
     pub shared: Arc<Shared>,
 }
@@ -64,6 +69,8 @@ impl Mapping {
         let mut scans_taken = 0;
         let mut last_map = Instant::now();
         let mut last_report = Instant::now();
+        let mut last_saved = Instant::now();
+        let mut saved_scans = 0;
         loop {
             match inbox.recv_timeout(PATIENCE) {
                 Ok(ToMapper::Scan(scan)) => {
@@ -91,10 +98,17 @@ impl Mapping {
                 self.tell_map(Duration::ZERO);
                 last_map = Instant::now();
             }
+            if self.save_every.is_some_and(|every| last_saved.elapsed() >= every) {
+                self.save(&mut saved_scans, Duration::ZERO);
+                last_saved = Instant::now();
+            }
             self.shared.mapper_steps.count();
         }
         self.mapper.finish();
         self.tell_outcomes();
+        if self.save_every.is_some() {
+            self.save(&mut saved_scans, PATIENCE_AT_END);
+        }
         self.tell_map(PATIENCE_AT_END);
     }
 
@@ -105,6 +119,17 @@ impl Mapping {
             if let Some(recorder) = &self.recorder {
                 recorder.offer(Record::PoseUsed { stamp_ns, pose: start });
             }
+        }
+    }
+
+    /// Gives the map to be saved, where it has changed since.
+    fn save(&mut self, saved_scans: &mut u64, patience: Duration) {
+        let scans = self.mapper.scans_inserted();
+        if scans > *saved_scans
+            && let Some(saved) = self.mapper.save()
+            && self.main.hand_over(FromMapper::Saved(Box::new(saved)), patience)
+        {
+            *saved_scans = scans;
         }
     }
 

@@ -111,7 +111,14 @@ impl Status {
 fn describe(shared: &Shared) -> String {
     let scans = shared.scans.load(Relaxed);
     let mapped = lock(&shared.mapper).as_ref().map_or_else(String::new, |report| {
-        format!(", {} in the map of {:.1} MB", report.scans_inserted, report.map_bytes as f64 / 1e6)
+        let place = report.localization.as_ref().map_or("", |found| found.in_words());
+        let loaded = report.scans_loaded;
+        let earlier = if loaded > 0 { format!(" + {loaded} of earlier runs") } else { String::new() };
+        format!(
+            ", {}{earlier} in the map of {:.1} MB{place}",
+            report.scans_inserted,
+            report.map_bytes as f64 / 1e6
+        )
     });
     let waiting = if shared.is_open.load(Relaxed) { "" } else { ", waiting for the scanner" };
     format!("{scans} scans{mapped}{waiting}")

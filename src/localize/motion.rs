@@ -155,6 +155,16 @@ impl Motion {
         self.pose = found.pose;
     }
 
+    /// Is where somebody else says.
+    pub fn given(&mut self, stamp_ns: i64, pose: Pose) {
+        let dt = seconds(self.stamp_ns, stamp_ns);
+        let moved = difference(&pose, &self.pose);
+        self.velocity = if dt > 0.0 { moved / dt } else { Vector3::zeros() };
+        (self.stamp_ns, self.pose) = (stamp_ns, pose);
+        self.covariance = Matrix6::identity() * FLOOR;
+        set_velocity_variance(&mut self.covariance, ODOMETRY_VELOCITY);
+    }
+
     /// Is somewhere else all at once, found by a search as well as `found` says.
     pub fn jump(&mut self, found: &Match) {
         self.pose = found.pose;

@@ -33,14 +33,14 @@ pub struct ScanPoint {
     pub variance: f64,
     /// Whether it is on something narrow that stands before all beside it, such as a post.
     pub post: bool,
+    /// Sine of the angle at which its surface was met; 1 where that is not known.
+    pub sine: f64,
 }
 
 impl ScanPoint {
     /// 1, or less where its surface is met at an angle of a smaller sine than `least`.
     pub fn slant_weight(&self, least: f64) -> f64 {
-        let range = self.at.coords.norm().max(1e-3);
-        let sine = self.normal.map_or(1.0, |normal| normal.dot(&self.at.coords).abs() / range);
-        (sine / least).min(1.0).powi(2)
+        (self.sine / least).min(1.0).powi(2)
     }
 }
 
@@ -80,13 +80,17 @@ impl Points {
             }
             let at = origin + direction * f64::from(range);
             let sigma = f64::from(RANGE_SIGMA[usize::from(range > NEAR)]);
-            self.all.push(ScanPoint { at, normal: None, variance: sigma * sigma, post: false });
+            self.all.push(ScanPoint { at, normal: None, variance: sigma * sigma, post: false, sine: 1.0 });
             self.beams.push(Beam { from: origin, to: at });
             self.numbers.push(number);
         }
         let step = scan.geometry.angle_increment.abs();
         for i in 0..self.all.len() {
-            self.all[i].normal = self.normal(i, step);
+            let normal = self.normal(i, step);
+            let point = &mut self.all[i];
+            let range = point.at.coords.norm().max(1e-3);
+            point.sine = normal.map_or(1.0, |normal| normal.dot(&point.at.coords).abs() / range);
+            point.normal = normal;
         }
         self.mark_posts();
         self.thin(step, spacing, most);

@@ -35,7 +35,8 @@ pub struct Window {
 
 /// The best poses within a window around one, best first.
 pub fn around(map: &Submap, points: &[ScanPoint], at: &Pose, window: Window) -> Vec<Candidate> {
-    let field = Field::of(map, at.translation.vector, window.reach + reach_of(points));
+    let reach = Vector2::repeat(window.reach + reach_of(points));
+    let field = Field::of(map, at.translation.vector, reach);
     let mut found = Vec::new();
     let steps = (window.reach / CELL).ceil() as i32;
     let turn_step = turn_step(points);
@@ -61,21 +62,21 @@ pub fn anywhere(map: &Submap, points: &[ScanPoint], least: f64) -> Vec<Candidate
     const LEVELS: usize = 6;
     let [low, high] = map.extent();
     let middle = Vector2::new((low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0);
-    let reach = ((high[0] - low[0]).max(high[1] - low[1]) / 2.0).max(CELL);
+    let reach = Vector2::new((high[0] - low[0]) / 2.0, (high[1] - low[1]) / 2.0).map(|half| half.max(CELL));
     let mut field = Field::of(map, middle, reach);
     field.build(LEVELS);
     let few = few(points);
     let turn_step = turn_step(points).max(0.5_f64.to_radians());
     let turns = (std::f64::consts::TAU / turn_step).ceil() as i32;
     let side = 1 << LEVELS;
-    let blocks = (reach / CELL).ceil() as i32 / side + 1;
+    let blocks = reach.map(|reach| (reach / CELL).ceil() as i32 / side + 1);
     let mut roots = Vec::new();
     let mut rotated = Vec::with_capacity(turns as usize);
     for turn in 0..turns {
         let rotation = nalgebra::UnitComplex::new(f64::from(turn) * turn_step);
         let cells = cells_of(&few, &rotation, middle);
-        for y in -blocks..blocks {
-            for x in -blocks..blocks {
+        for y in -blocks.y..blocks.y {
+            for x in -blocks.x..blocks.x {
                 let score = field.score(&cells, x * side, y * side, LEVELS);
                 if score >= least {
                     roots.push((score, turn, x * side, y * side));
@@ -177,11 +178,11 @@ struct Field {
 }
 
 impl Field {
-    fn of(map: &Submap, middle: Vector2<f64>, reach: f64) -> Field {
-        let low = (index(middle.x - reach) - 1, index(middle.y - reach) - 1);
-        let high = (index(middle.x + reach) + 1, index(middle.y + reach) + 1);
+    fn of(map: &Submap, middle: Vector2<f64>, reach: Vector2<f64>) -> Field {
+        let low = (index(middle.x - reach.x) - 1, index(middle.y - reach.y) - 1);
+        let high = (index(middle.x + reach.x) + 1, index(middle.y + reach.y) + 1);
         let (width, height) = (high.0 - low.0 + 1, high.1 - low.1 + 1);
-        let mut cells = vec![0_u8; (width * height) as usize];
+        let mut cells = vec![0_u8; width as usize * height as usize];
         for (x, y) in map.occupied() {
             let (column, row) = (x - low.0, y - low.1);
             // Half as much beside a surface: poses are looked at in steps of a cell.

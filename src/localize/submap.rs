@@ -54,20 +54,28 @@ impl Surface {
         (length > 1e-3).then(|| normal / length)
     }
 
-    fn add(&mut self, at: [f32; 2], normal: Option<Vector2<f64>>) {
-        self.count = (self.count + 1.0).min(MEMORY);
+    /// Takes in `returns` of them at one point.
+    fn add(&mut self, at: [f32; 2], normal: Option<Vector2<f64>>, returns: f32) {
+        self.count = (self.count + returns).min(MEMORY);
+        let part = returns / self.count;
         let before = [at[0] - self.mean[0], at[1] - self.mean[1]];
-        self.mean[0] += before[0] / self.count;
-        self.mean[1] += before[1] / self.count;
+        self.mean[0] += before[0] * part;
+        self.mean[1] += before[1] * part;
         let after = [at[0] - self.mean[0], at[1] - self.mean[1]];
-        let parts = [before[0] * after[0], before[0] * after[1], before[1] * after[1]];
-        for (spread, part) in self.spread.iter_mut().zip(parts) {
-            *spread += (part - *spread) / self.count;
+        let squares = [before[0] * after[0], before[0] * after[1], before[1] * after[1]];
+        for (spread, square) in self.spread.iter_mut().zip(squares) {
+            *spread += (square - *spread) * part;
         }
         if let Some(normal) = normal {
             self.normal[0] += normal.x as f32;
             self.normal[1] += normal.y as f32;
         }
+    }
+
+    /// Its mean place, in this column and row (m).
+    fn place(&self, x: i32, y: i32) -> Point2<f64> {
+        let [dx, dy] = self.mean.map(f64::from);
+        Point2::new(f64::from(x) * CELL + dx, f64::from(y) * CELL + dy)
     }
 
     fn evidence(&mut self) {
@@ -81,6 +89,8 @@ impl Surface {
 /// What is known of a cell, beside its surface.
 const FREE: u8 = 1;
 const HAS_SURFACE: u8 = 2;
+/// The surface was seen whenever it was looked at from before it: who sees through it is not there.
+const OPAQUE: u8 = 4;
 
 #[derive(Clone, Debug)]
 struct Tile {
@@ -111,6 +121,21 @@ pub enum Place {
     Free,
     /// Near this surface.
     Surface(Line),
+}
+
+/// A piece of a surface that is known from elsewhere.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Known {
+    /// A point on it (m).
+    pub at: Point2<f64>,
+    /// Unit normal, to the side from which it was seen.
+    pub normal: Option<Vector2<f64>>,
+    /// Its length along the surface (m).
+    pub length: f64,
+    /// How many returns it stands for.
+    pub returns: f32,
+    /// Whether it was seen whenever it was looked at: not glass.
+    pub is_opaque: bool,
 }
 
 /// See the module.
@@ -227,12 +252,98 @@ impl Submap {
         {
             return;
         }
-        surface.add([(at.x - f64::from(x) * CELL) as f32, (at.y - f64::from(y) * CELL) as f32], normal);
+        surface.add([(at.x - f64::from(x) * CELL) as f32, (at.y - f64::from(y) * CELL) as f32], normal, 1.0);
         if surface.last_hit != key {
             surface.last_hit = key;
             surface.hits += 1;
             surface.evidence();
         }
+    }
+
+    /// A map of what is known from elsewhere: surfaces, points that are free, and points where something may be: what is met
+    /// there speaks neither for nor against a place.
+    pub fn of_known(
+        surfaces: impl Iterator<Item = Known>,
+        free: impl Iterator<Item = Point2<f64>>,
+        doubtful: impl Iterator<Item = Point2<f64>>,
+    ) -> Submap {
+        let mut map = Submap { keys: 1, ..Submap::default() };
+        for surface in surfaces {
+            let along = surface.normal.map_or(Vector2::zeros(), |normal| Vector2::new(-normal.y, normal.x));
+            // An even row of that length has the deviation of three points this far apart.
+            let apart = along * (surface.length / 8.0_f64.sqrt());
+            for step in [-1.0, 0.0, 1.0] {
+                map.know(surface.at + apart * step, &surface);
+            }
+        }
+        for at in free {
+            let (x, y) = (index(at.x), index(at.y));
+            let number = map.make_tile(x, y);
+            map.tiles[number].flags[in_tile(x, y)] |= FREE;
+        }
+        for at in doubtful {
+            let (x, y) = (index(at.x), index(at.y));
+            let number = map.make_tile(x, y);
+            map.tiles[number].flags[in_tile(x, y)] &= !FREE;
+        }
+        map
+    }
+
+    fn know(&mut self, at: Point2<f64>, known: &Known) {
+        let (x, y) = (index(at.x), index(at.y));
+        let number = self.make_tile(x, y);
+        let tile = &mut self.tiles[number];
+        let cell = in_tile(x, y);
+        if tile.surfaces.is_empty() {
+            tile.surfaces.resize(AREA, Surface::default());
+        }
+        let (surface, flags) = (&mut tile.surfaces[cell], &mut tile.flags[cell]);
+        let is_other_side = |normal: Vector2<f64>| surface.normal().is_some_and(|old| normal.dot(&old) < 0.0);
+        if known.normal.is_some_and(is_other_side) {
+            return;
+        }
+        let is_first = *flags & HAS_SURFACE == 0;
+        *flags |= HAS_SURFACE;
+        // One piece that can be seen through is enough.
+        if is_first && known.is_opaque {
+            *flags |= OPAQUE;
+        } else if !known.is_opaque {
+            *flags &= !OPAQUE;
+        }
+        let at = [(at.x - f64::from(x) * CELL) as f32, (at.y - f64::from(y) * CELL) as f32];
+        surface.add(at, known.normal, known.returns / 3.0);
+        surface.hits = EVIDENCE / 2;
+    }
+
+    /// Whether a beam goes through a surface that was seen whenever it was looked at: then this is not where it was fired.
+    pub fn contradicts(&self, from: Point2<f64>, to: Point2<f64>) -> bool {
+        let way = to - from;
+        let length = way.norm();
+        // As far as a pose that a search has found may be off.
+        let clear = length - 2.0 * CLEAR_BEFORE;
+        if clear <= 0.0 {
+            return false;
+        }
+        let direction = way / length;
+        let mut walk = Walk::new(from, direction);
+        while walk.distance < clear {
+            let (x, y) = (walk.x, walk.y);
+            walk.step();
+            let Some(tile) = self.tile(x, y) else { continue };
+            let cell = in_tile(x, y);
+            if tile.flags[cell] & OPAQUE == 0 {
+                continue;
+            }
+            let surface = &tile.surfaces[cell];
+            let off = surface.place(x, y) - from;
+            let across = (off.x * direction.y - off.y * direction.x).abs();
+            // From behind it may never have been looked at.
+            let faces = surface.normal().is_some_and(|normal| normal.dot(&direction) < -2.0 * GRAZING);
+            if across < THROUGH && faces && off.dot(&direction) < clear {
+                return true;
+            }
+        }
+        false
     }
 
     fn clear(&mut self, from: Point2<f64>, to: Point2<f64>) {
@@ -258,11 +369,7 @@ impl Submap {
             if *flags & HAS_SURFACE != 0 {
                 let surface = &mut tile.surfaces[cell];
                 if surface.last_miss != key && surface.last_hit != key {
-                    let mean = Point2::new(
-                        f64::from(x) * CELL + f64::from(surface.mean[0]),
-                        f64::from(y) * CELL + f64::from(surface.mean[1]),
-                    );
-                    let off = mean - from;
+                    let off = surface.place(x, y) - from;
                     let across = (off.x * direction.y - off.y * direction.x).abs();
                     let is_met = surface.normal().is_none_or(|normal| normal.dot(&direction).abs() > GRAZING);
                     if across < THROUGH && is_met && off.dot(&direction) < clear {

@@ -192,3 +192,111 @@ fn scans_of_nothing_begin_no_map() {
     assert_eq!(localizer.locate(&scan(&ROOM, &circle, 1), None).doubt, None);
     assert_eq!(localizer.tracking(), Tracking::Tracking);
 }
+
+/// A ring of corridors, 16 m by 12 m, with a niche or pillar here and there, none like another.
+fn ring() -> Vec<Wall> {
+    let rectangle = |[x0, y0]: [f64; 2], [x1, y1]: [f64; 2]| {
+        [[[x0, y0], [x1, y0]], [[x1, y0], [x1, y1]], [[x1, y1], [x0, y1]], [[x0, y1], [x0, y0]]]
+    };
+    let mut walls: Vec<Wall> = Vec::new();
+    walls.extend(rectangle([0.0, 0.0], [16.0, 12.0]));
+    walls.extend(rectangle([2.2, 2.2], [13.8, 9.8]));
+    for (at, size) in [
+        ([3.0, 0.0], [0.5, 0.3]),
+        ([8.0, 0.0], [1.2, 0.2]),
+        ([13.0, 1.9], [0.3, 0.3]),
+        ([15.6, 4.0], [0.4, 0.9]),
+        ([13.8, 7.0], [0.3, 0.4]),
+        ([11.0, 11.5], [0.7, 0.5]),
+        ([5.5, 9.8], [0.4, 0.4]),
+        ([0.0, 8.0], [0.3, 1.5]),
+        ([1.9, 4.5], [0.3, 0.6]),
+    ] {
+        let [x, y]: [f64; 2] = at;
+        let [w, h]: [f64; 2] = size;
+        walls.extend(rectangle([x, y], [x + w, y + h]));
+    }
+    walls
+}
+
+/// Round the ring, a lap in 44 m.
+fn round(way: f64) -> Pose {
+    const SIDES: [f64; 4] = [13.0, 9.0, 13.0, 9.0];
+    let (mut way, mut at) = (way.rem_euclid(44.0), pose(1.5, 1.2, 0.0));
+    for side in SIDES {
+        if way <= side {
+            return at * pose(way, 0.0, 0.0);
+        }
+        way -= side;
+        at *= pose(side, 0.0, std::f64::consts::FRAC_PI_2);
+    }
+    at
+}
+
+/// Drives round and a third, located with this much drift a metre, and says what loops there are and how far out the poses
+/// are, before and after.
+fn driven_round(drift: Pose) -> (loops::Loops, [f64; 2]) {
+    let walls = ring();
+    let mut drive = loops::Drive::default();
+    let mut located = Vec::new();
+    let mut at = round(0.0);
+    for step in 0..600 {
+        let truth = round(f64::from(step) * 0.1);
+        if step > 0 {
+            let before = round(f64::from(step - 1) * 0.1);
+            at *= before.inverse() * truth * pose(drift.translation.x, 0.0, drift.rotation.angle());
+        }
+        let scan = scan(&walls, &|_| truth, step as u64);
+        let way = drive.add(&at, || {
+            let mut points = Points::default();
+            points.read(&scan, Pose::identity(), Pose::identity(), 0.08, 400);
+            points
+        });
+        located.push((way, at, truth));
+    }
+    let found = drive.close();
+    let worst = |correct: &dyn Fn(f64, &Pose) -> Pose| {
+        located
+            .iter()
+            .map(|(way, at, truth)| difference(&correct(*way, at), truth).xy().norm())
+            .fold(0.0, f64::max)
+    };
+    let before = worst(&|_, at| *at);
+    let after = match &found {
+        loops::Loops::Bent(correction) => worst(&|way, at| correction.correct(way, at)),
+        _ => before,
+    };
+    (found, [before, after])
+}
+
+#[test]
+fn a_drive_that_comes_back_out_of_place_is_bent_together() {
+    let (found, [before, after]) = driven_round(pose(0.0002, 0.0, 0.0006));
+    let loops::Loops::Bent(correction) = found else { panic!("{found}") };
+    assert!(before > 2.0 && after < before / 5.0, "{before} m before, {after} m after");
+    assert!(correction.left[0] < 0.1 && correction.left[1] < 0.02, "{:?}", correction.left);
+}
+
+#[test]
+fn a_drive_that_is_good_is_not_touched() {
+    let (found, [_, after]) = driven_round(pose(0.0, 0.0, 0.0));
+    assert!(matches!(found, loops::Loops::Good { closures: 3.., .. }), "{found}");
+    assert!(after < 1e-9);
+}
+
+#[test]
+fn what_looks_alike_but_is_not_the_same_closes_nothing() {
+    // Two walls and nothing else: every part looks like every other.
+    let mut drive = loops::Drive::default();
+    for step in 0..500 {
+        let at = pose(f64::from(step) * 0.1, 0.0, 0.0);
+        let scan = scan(&CORRIDOR, &|_| at, step as u64);
+        drive.add(&at, || {
+            let mut points = Points::default();
+            points.read(&scan, Pose::identity(), Pose::identity(), 0.08, 400);
+            points
+        });
+    }
+    let found = drive.close();
+    assert!(!matches!(found, loops::Loops::Bent(_)), "{found}");
+}

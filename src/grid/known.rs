@@ -1,0 +1,75 @@
+//! What a grid knows of the world, as points in metres: for who looks for a place in it.
+
+use super::{
+    angle::units,
+    cell::Cell,
+    tiles::{CellIndex, SIDE},
+    visagge::Visagge,
+};
+
+/// A surface that was missed over no more than this can not be seen through (rad): 1 degree. A wall at grazing incidence has
+/// as much.
+const OPAQUE: f64 = 0.02;
+
+/// What a grid knows.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct KnownPlaces {
+    /// The cells that are shown as occupied.
+    pub surfaces: Vec<KnownSurface>,
+    /// Middles of the cells that a beam has crossed (m).
+    pub free: Vec<[f64; 2]>,
+    /// Mean places of the returns in cells that are not shown (m): something may be there or not.
+    pub doubtful: Vec<[f64; 2]>,
+}
+
+/// A cell that is shown.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KnownSurface {
+    /// Mean place of its returns (m).
+    pub at: [f64; 2],
+    /// Bearing of the sensor seen from it, in the middle of those from which it is visible (rad).
+    pub seen_from: f64,
+    /// Scans with a return in it.
+    pub hits: u16,
+    /// Whether it was seen whenever it was looked at.
+    pub is_opaque: bool,
+}
+
+impl Visagge {
+    /// Side of a cell (m).
+    pub fn resolution(&self) -> f64 {
+        self.resolution
+    }
+
+    /// What is shown, and what is free.
+    pub fn known(&mut self) -> KnownPlaces {
+        self.decide();
+        let place = |index: CellIndex, cell: &Cell| {
+            let [x, y] = cell.centroid.map(f64::from);
+            [(f64::from(index.x) + x) * self.resolution, (f64::from(index.y) + y) * self.resolution]
+        };
+        let shown = |wanted: bool| {
+            self.cells()
+                .filter(move |(.., judgement)| judgement.verdict.is_shown() == wanted)
+                .map(|(index, cell, _)| (index, cell))
+        };
+        let surfaces = shown(true).map(|(index, cell)| KnownSurface {
+            at: place(index, cell),
+            seen_from: cell.visible.range.middle().rad(),
+            hits: cell.hits,
+            is_opaque: u32::from(cell.widest_missed) <= units(OPAQUE),
+        });
+        let side = SIDE as usize;
+        let crossed = self.tiles.iter().flat_map(|(place, tile)| {
+            (0..side * side)
+                .filter(move |cell| tile.free[cell / side] >> (cell % side) & 1 == 1)
+                .map(move |cell| place.cell(cell % side, cell / side))
+        });
+        let middle = |at: i32| (f64::from(at) + 0.5) * self.resolution;
+        KnownPlaces {
+            surfaces: surfaces.collect(),
+            free: crossed.map(|index| [middle(index.x), middle(index.y)]).collect(),
+            doubtful: shown(false).map(|(index, cell)| place(index, cell)).collect(),
+        }
+    }
+}

@@ -1,0 +1,441 @@
+//! Closes the loops of a drive that has been located: finds where it came back to a place, and bends it so that both visits
+//! fall together.
+//!
+//! For a drive as a whole, afterwards. It is cut into segments of some metres, each with a matching map and with its points
+//! put together, which tell a place far better than one scan does. What one segment shows is sought in the maps of those that
+//! may be near; what several of them say of each other in agreement is believed ([pairwise consistency][pcm]), and a
+//! [pose graph](super::graph) spreads what was out over the way between. Where nothing is out by more than the walls
+//! are thick, nothing is touched: a graph cannot make better what is good already.
+//!
+//! [pcm]: https://doi.org/10.1109/ICRA.2018.8460217 "Mangelson et al. 2018"
+
+use super::graph::{self, Edge};
+use super::matcher::{Match, difference, refine};
+use super::points::{Points, ScanPoint};
+use super::submap::{Submap, index};
+use super::{free, search};
+use crate::pose::{Pose, interpolate};
+use nalgebra::{Matrix3, Vector3};
+use std::{collections::HashSet, fmt};
+
+/// Way and turn between two scans that are put into a segment (m, rad).
+const KEY: [f64; 2] = [0.15, 0.15];
+/// A segment begins every so often, and is so long (m): long enough to see more than a wall, short enough not to bend.
+const STEP: f64 = 3.0;
+/// See [`STEP`].
+const LENGTH: f64 = 6.0;
+/// What lies closer together on the way than this is no loop (m): the matching maps hold it already.
+const LOOP: f64 = 20.0;
+/// Segments whose beginnings are no farther apart may show the same (m).
+const NEAR: f64 = 5.0;
+/// By how much a drive may be out, for each metre of the way between: place (m/m) and heading (rad/m). Ranges of a scanner that
+/// bends straight walls lost 34 degrees over 105 m.
+const OUT: [f64; 2] = [0.15, 0.007];
+/// A segment fits where surfaces explain this share of its points in known space, which are this share of all: near where it is
+/// expected, and anywhere. Who comes back round a corner knows but a third of what there is to see.
+const EXPLAINED: f64 = 0.75;
+/// See [`EXPLAINED`].
+const KNOWN: [f64; 2] = [0.3, 0.5];
+/// ... and no other place fits better than this part as well.
+const ONLY: f64 = 0.85;
+/// How far a refinement may lead (m, rad): beyond, it is another place that it found.
+const REFINED: [f64; 2] = [0.5, 0.15];
+/// Searches of a whole map for one segment at most, and for all of a drive.
+const SEARCHES: [usize; 2] = [4, 600];
+/// Deviations of a closure beside those of the match (m, rad): segments bend.
+const CLOSURE: [f64; 2] = [0.02, 0.003];
+/// Deviations of the way from one segment to the next, for the square root of a metre (m, rad).
+const WAY: [f64; 2] = [0.02, 0.01];
+/// How far two closures may contradict each other: at once (m, rad), and for each metre of the way between them (rad/m).
+const AGREE: [f64; 3] = [0.15, 0.03, 0.012];
+/// As many must agree for any to be believed.
+const WITNESSES: usize = 3;
+/// Squared deviations beyond which a closure is given up after all: five.
+const OUTLIER: f64 = 25.0;
+/// Nothing is touched where no closure is out by more (m, rad): two cells, and half a degree. Less can come from the last metres
+/// alone, and to spread it over all of the way moves what was right (an office ring of 190 m: 2 cm of error became 4).
+const GOOD: [f64; 2] = [0.1, 0.01];
+/// Squared deviations by which the way may be bent in all. A building that looks alike in many places has closures that agree
+/// and are all wrong; they bend a way by more than it can have been out (190 on a ring of offices; 34 degrees of error that a
+/// real drive had come to 40).
+const MOST_BENT: f64 = 80.0;
+/// Segments that lie in each other's maps afterwards and where surfaces explain less than this share of the points contradict
+/// the closures.
+const CONTRADICTS: f64 = 0.6;
+/// ... of which no more than this part may do so.
+const CONTRADICTED: f64 = 0.25;
+/// Sets of closures that are tried at most, one after the other.
+const TRIES: usize = 3;
+/// How often closures are sought anew from where the graph has put the segments.
+const ROUNDS: usize = 3;
+
+/// A stretch of the drive.
+#[derive(Debug)]
+struct Segment {
+    /// The scanner where it begins, as it was located.
+    pose: Pose,
+    /// Way driven until there (m).
+    way: f64,
+    map: Submap,
+    /// Its points in the frame of its beginning, no two in one cell of the matching map.
+    points: Vec<ScanPoint>,
+    taken: HashSet<(i32, i32)>,
+}
+
+/// A drive, as it was located.
+#[derive(Debug, Default)]
+pub struct Drive {
+    segments: Vec<Segment>,
+    /// The last scan that was put in, and the way until there (m).
+    last: Option<(Pose, f64)>,
+}
+
+/// Two segments that show the same.
+#[derive(Clone, Copy, Debug)]
+struct Closure {
+    edge: Edge,
+}
+
+/// How a drive is to be bent.
+#[derive(Clone, Debug)]
+pub struct Correction {
+    /// Way driven (m), and what to put before a pose there.
+    steps: Vec<(f64, Pose)>,
+    /// Closures that agree.
+    pub closures: usize,
+    /// How far the one that was out most was out (m, rad).
+    pub out: [f64; 2],
+    /// ... and is now (m, rad).
+    pub left: [f64; 2],
+}
+
+/// What a search for loops found.
+#[derive(Clone, Debug)]
+pub enum Loops {
+    /// None that is sure.
+    None,
+    /// So many, and none is out by more than walls are thick (m, rad).
+    Good {
+        /// Closures that agree.
+        closures: usize,
+        /// How far the one that is out most is out (m, rad).
+        out: [f64; 2],
+    },
+    /// The drive is to be bent.
+    Bent(Correction),
+}
+
+impl fmt::Display for Loops {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let out = |[place, turn]: [f64; 2]| format!("{place:.2} m, {:.1} degrees", turn.to_degrees());
+        match self {
+            Loops::None => f.write_str("no loop was found that is sure: the poses are as they were located"),
+            Loops::Good { closures, out: most } => write!(
+                f,
+                "the drive came back {closures} times and was out by {} at most: nothing is moved",
+                out(*most)
+            ),
+            Loops::Bent(correction) => write!(
+                f,
+                "the drive came back {} times and was out by {} at most, now by {}",
+                correction.closures,
+                out(correction.out),
+                out(correction.left)
+            ),
+        }
+    }
+}
+
+impl Drive {
+    /// Takes in a scan that was located: the scanner in its middle, and its points. Returns the way driven until there (m).
+    pub fn add(&mut self, pose: &Pose, points: impl FnOnce() -> Points) -> f64 {
+        let (way, is_key) = match &self.last {
+            None => (0.0, true),
+            Some((last, way)) => {
+                let off = difference(pose, last);
+                let moved = off.xy().norm();
+                (way + moved, moved >= KEY[0] || off.z.abs() >= KEY[1])
+            }
+        };
+        if !is_key {
+            return way;
+        }
+        self.last = Some((*pose, way));
+        if self.segments.last().is_none_or(|last| way >= last.way + STEP) {
+            self.segments.push(Segment {
+                pose: *pose,
+                way,
+                map: Submap::default(),
+                points: Vec::new(),
+                taken: HashSet::new(),
+            });
+        }
+        let points = points();
+        for segment in self.segments.iter_mut().rev().take_while(|segment| way < segment.way + LENGTH) {
+            segment.add(pose, &points);
+        }
+        way
+    }
+
+    /// Seeks loops, and how to close them.
+    pub fn close(&self) -> Loops {
+        let before: Vec<Pose> = self.segments.iter().map(|segment| segment.pose).collect();
+        let way: Vec<Edge> = (1..before.len()).map(|to| self.way_edge(to)).collect();
+        let mut nodes = before.clone();
+        let mut agreed: Vec<Closure> = Vec::new();
+        for round in 0..ROUNDS {
+            let found = self.seek(&nodes, round == 0);
+            let Some((bent, kept)) = self.believe(&before, &way, found) else { break };
+            // Whoever finds fewer from a better start was wrong.
+            if kept.len() < agreed.len() {
+                break;
+            }
+            (nodes, agreed) = (bent, kept);
+        }
+        if agreed.is_empty() {
+            return Loops::None;
+        }
+        let (out, left) = (worst(&agreed, &before), worst(&agreed, &nodes));
+        let closures = agreed.len();
+        if out[0] <= GOOD[0] && out[1] <= GOOD[1] {
+            return Loops::Good { closures, out };
+        }
+        let steps = self
+            .segments
+            .iter()
+            .zip(&nodes)
+            .map(|(segment, node)| (segment.way, node * segment.pose.inverse()));
+        Loops::Bent(Correction { steps: steps.collect(), closures, out, left })
+    }
+
+    /// What the drive says of a segment relative to the one before.
+    fn way_edge(&self, to: usize) -> Edge {
+        let (a, b) = (&self.segments[to - 1], &self.segments[to]);
+        let length = (b.way - a.way).max(KEY[0]);
+        let weight = |sigma: f64| 1.0 / (sigma * sigma * length);
+        let information =
+            Matrix3::from_diagonal(&Vector3::new(weight(WAY[0]), weight(WAY[0]), weight(WAY[1])));
+        Edge { from: to - 1, to, pose: a.pose.inverse() * b.pose, information }
+    }
+
+    /// Segments that show what others show, where the nodes are about right; `far`: where they may be out by as much as such a
+    /// way allows.
+    fn seek(&self, nodes: &[Pose], far: bool) -> Vec<Closure> {
+        let mut closures = Vec::new();
+        let mut searches = 0;
+        for (to, segment) in self.segments.iter().enumerate() {
+            let apart = |from: usize| (nodes[from].translation.vector - nodes[to].translation.vector).norm();
+            let mut others: Vec<usize> =
+                (0..to).filter(|&from| segment.way - self.segments[from].way >= LOOP).collect();
+            others.sort_by(|a, b| apart(*a).total_cmp(&apart(*b)));
+            let mut searched = 0;
+            for from in others {
+                let other = &self.segments[from];
+                let between = segment.way - other.way;
+                let expected = other.pose * nodes[from].inverse() * nodes[to];
+                let mut found = None;
+                if apart(from) <= NEAR {
+                    found = segment.fits_near(&other.map, &expected);
+                }
+                let allowed = [NEAR + OUT[0] * between, REFINED[1] + OUT[1] * between];
+                let may_search = far && searched < SEARCHES[0] && searches < SEARCHES[1];
+                if found.is_none() && may_search && apart(from) <= allowed[0] {
+                    (searched, searches) = (searched + 1, searches + 1);
+                    found = segment.fits_anywhere(&other.map).filter(|found| {
+                        let off = difference(&found.pose, &expected);
+                        off.xy().norm() <= allowed[0] && off.z.abs() <= allowed[1]
+                    });
+                }
+                closures.extend(found.map(|found| closure(from, to, &other.pose, &found)));
+            }
+        }
+        closures
+    }
+
+    /// The nodes bent to the closures that can be believed, and these.
+    fn believe(
+        &self,
+        before: &[Pose],
+        way: &[Edge],
+        mut found: Vec<Closure>,
+    ) -> Option<(Vec<Pose>, Vec<Closure>)> {
+        for _ in 0..TRIES {
+            let set = self.agreeing(&found);
+            if set.len() < WITNESSES {
+                return None;
+            }
+            let is_in_set = |closure: &Closure| set.iter().any(|other| other.is_same(closure));
+            let others = found.iter().copied().filter(|closure| !is_in_set(closure)).collect();
+            if let Some((nodes, kept)) = bend(before, way, set) {
+                let bent: f64 = way.iter().map(|edge| edge.squared_deviations(&nodes)).sum();
+                if kept.len() >= WITNESSES && bent <= MOST_BENT && !self.is_contradicted(&nodes) {
+                    return Some((nodes, kept));
+                }
+            }
+            found = others;
+        }
+        None
+    }
+
+    /// Whether much of what lies together then does not look alike.
+    fn is_contradicted(&self, nodes: &[Pose]) -> bool {
+        let (mut looks, mut against) = (0, 0);
+        for (to, segment) in self.segments.iter().enumerate() {
+            for (from, other) in self.segments[..to].iter().enumerate() {
+                let apart = (nodes[from].translation.vector - nodes[to].translation.vector).norm();
+                if segment.way - other.way < LOOP || apart > 2.0 * NEAR {
+                    continue;
+                }
+                let expected = other.pose * nodes[from].inverse() * nodes[to];
+                let found = refine(&other.map, &segment.points, &free(expected));
+                let off = difference(&found.pose, &expected);
+                let is_near = off.xy().norm() <= REFINED[0] && off.z.abs() <= REFINED[1];
+                if found.known >= KNOWN[1] {
+                    looks += 1;
+                    against += usize::from(found.explained < CONTRADICTS || !is_near);
+                }
+            }
+        }
+        against as f64 > CONTRADICTED * looks as f64
+    }
+
+    /// The most closures that all agree with each other.
+    fn agreeing(&self, closures: &[Closure]) -> Vec<Closure> {
+        let agree: Vec<Vec<bool>> =
+            closures.iter().map(|a| closures.iter().map(|b| self.agrees(a, b)).collect()).collect();
+        let friends = |a: usize| agree[a].iter().filter(|yes| **yes).count();
+        let mut order: Vec<usize> = (0..closures.len()).collect();
+        order.sort_by_key(|&a| std::cmp::Reverse(friends(a)));
+        let mut best: Vec<usize> = Vec::new();
+        for &seed in &order {
+            if friends(seed) <= best.len() {
+                break;
+            }
+            let mut set = vec![seed];
+            for &next in &order {
+                if next != seed && set.iter().all(|&member| agree[member][next]) {
+                    set.push(next);
+                }
+            }
+            if set.len() > best.len() {
+                best = set;
+            }
+        }
+        best.sort_unstable();
+        best.into_iter().map(|number| closures[number]).collect()
+    }
+
+    /// Whether two closures can both be right: around the ring of both, the ways between them are short or out by little.
+    fn agrees(&self, a: &Closure, b: &Closure) -> bool {
+        let (a, b) = (&a.edge, &b.edge);
+        let pose = |number: usize| &self.segments[number].pose;
+        let there = pose(a.from).inverse() * pose(b.from);
+        let here = pose(a.to).inverse() * pose(b.to);
+        let way = |from: usize, to: usize| (self.segments[from].way - self.segments[to].way).abs();
+        let between = way(a.from, b.from) + way(a.to, b.to);
+        let off = difference(&(a.pose * here), &(there * b.pose));
+        let turn = AGREE[1] + AGREE[2] * between;
+        let lever = here.translation.vector.norm().max(there.translation.vector.norm());
+        off.z.abs() <= turn && off.xy().norm() <= AGREE[0] + turn * lever
+    }
+}
+
+impl Segment {
+    fn add(&mut self, pose: &Pose, points: &Points) {
+        self.map.insert(points, pose);
+        let by = self.pose.inverse() * pose;
+        for point in &points.thinned {
+            let at = by * point.at;
+            if self.taken.insert((index(at.x), index(at.y))) {
+                let normal = point.normal.map(|normal| by.rotation * normal);
+                self.points.push(ScanPoint { at, normal, ..*point });
+            }
+        }
+    }
+
+    /// Its place in another segment's map, near where it is expected.
+    fn fits_near(&self, map: &Submap, expected: &Pose) -> Option<Match> {
+        let found = refine(map, &self.points, &free(*expected));
+        let off = difference(&found.pose, expected);
+        let is_near = off.xy().norm() <= REFINED[0] && off.z.abs() <= REFINED[1];
+        (is_near && fits(&found, KNOWN[0])).then_some(found)
+    }
+
+    /// Its place in another segment's map, if there is exactly one.
+    fn fits_anywhere(&self, map: &Submap) -> Option<Match> {
+        let mut matches: Vec<Match> = search::anywhere(map, &self.points, 0.3)
+            .iter()
+            .map(|candidate| refine(map, &self.points, &free(candidate.pose)))
+            .collect();
+        let fit = |found: &Match| found.explained * found.known;
+        matches.sort_by(|a, b| fit(b).total_cmp(&fit(a)));
+        let best = *matches.first()?;
+        let is_other = |found: &&Match| {
+            let off = difference(&found.pose, &best.pose);
+            off.xy().norm() > REFINED[0] || off.z.abs() > REFINED[1]
+        };
+        let second = matches.iter().find(is_other).map_or(0.0, fit);
+        (fits(&best, KNOWN[1]) && second <= ONLY * fit(&best)).then_some(best)
+    }
+}
+
+impl Closure {
+    fn is_same(&self, other: &Closure) -> bool {
+        (self.edge.from, self.edge.to) == (other.edge.from, other.edge.to)
+    }
+}
+
+fn fits(found: &Match, known: f64) -> bool {
+    found.explained >= EXPLAINED && found.known >= known
+}
+
+/// `to` was found in the map of `from`, whose beginning that map has at `pose`.
+fn closure(from: usize, to: usize, pose: &Pose, found: &Match) -> Closure {
+    // What the points know, in the frame of what was found; a little of everything, so that it can be inverted.
+    let mut turn = Matrix3::identity();
+    turn.fixed_view_mut::<2, 2>(0, 0).copy_from(found.pose.rotation.to_rotation_matrix().matrix());
+    let caution = super::CAUTION * super::CAUTION;
+    let known = turn.transpose() * found.information * turn / caution + Matrix3::identity() * 0.1;
+    let floor = Vector3::new(CLOSURE[0], CLOSURE[0], CLOSURE[1]).map(|sigma| sigma * sigma);
+    let covariance = known.try_inverse().unwrap_or_else(Matrix3::identity) + Matrix3::from_diagonal(&floor);
+    let information = covariance.try_inverse().unwrap_or_else(Matrix3::identity);
+    let edge = Edge { from, to, pose: pose.inverse() * found.pose, information };
+    Closure { edge }
+}
+
+/// Bends the way so that it suits the closures, without those that then still contradict it; `None` where that are too many.
+fn bend(before: &[Pose], way: &[Edge], mut closures: Vec<Closure>) -> Option<(Vec<Pose>, Vec<Closure>)> {
+    let most_dropped = closures.len() / 3;
+    for _ in 0..=most_dropped {
+        let edges: Vec<Edge> =
+            way.iter().copied().chain(closures.iter().map(|closure| closure.edge)).collect();
+        let nodes = graph::solve(before, &edges)?;
+        let deviations = closures.iter().map(|closure| closure.edge.squared_deviations(&nodes));
+        let (worst, most) = deviations.enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
+        if most <= OUTLIER {
+            return Some((nodes, closures));
+        }
+        closures.swap_remove(worst);
+    }
+    None
+}
+
+/// How far the closures are out at most (m, rad).
+fn worst(closures: &[Closure], nodes: &[Pose]) -> [f64; 2] {
+    closures
+        .iter()
+        .map(|closure| closure.edge.error(nodes))
+        .fold([0.0; 2], |[place, turn], error| [error.xy().norm().max(place), error.z.abs().max(turn)])
+}
+
+impl Correction {
+    /// Where a pose belongs that was located after so much way (m).
+    pub fn correct(&self, way: f64, pose: &Pose) -> Pose {
+        let after = self.steps.partition_point(|(at, _)| *at <= way);
+        let Some((begin, before)) = after.checked_sub(1).map(|number| &self.steps[number]) else {
+            return self.steps.first().map_or(*pose, |(_, first)| first * pose);
+        };
+        let Some((end, next)) = self.steps.get(after) else { return before * pose };
+        interpolate(&(before * pose), &(next * pose), (way - begin) / (end - begin))
+    }
+}
