@@ -359,6 +359,10 @@ impl Maker {
             self.wall_with_features([x1, y1], [-1.0, 0.0], [0.0, -1.0], bw);
             self.wall_with_features([x0, y1], [0.0, -1.0], [1.0, 0.0], bh);
         }
+        // Where steel takes the whole of its place, no wall is left beside it. The other kinds are tried again instead: to be
+        // spared of it so many times over would take luck.
+        let is_point = |line: &Vec<[f64; 2]>| line.windows(2).any(|ends| ends[0] == ends[1]);
+        self.world.surfaces.retain(|surface| !surface.line.as_ref().is_some_and(is_point));
         // Crossings of corridors, by number: most corridors once, the western one whole.
         let crossings =
             [[2, 0], [4, 0], [4, 1], [3, 1], [3, 2], [2, 2], [2, 1], [1, 1], [1, 2], [0, 2], [0, 0]];
