@@ -38,22 +38,23 @@ impl Angle {
     }
 }
 
+/// Least squares, weighted to be even, of atan(t) / t in t^2 over 0..1: off by 4e-8 at most.
+pub(super) const ATAN: [f32; 8] = [
+    0.999_999_34,
+    -0.333_298_6,
+    0.199_465_66,
+    -0.139_086_29,
+    0.096_421_95,
+    -0.055_912_29,
+    0.021_862_93,
+    -0.004_054_559,
+];
+
 /// The bearing of (x, y), in rad, to within 3e-7: [`f32::atan2`] without a branch or a call, so that eight can be
 /// had at a time. Where both are 0 it is 0.
 #[inline(always)]
 pub fn atan2(y: f32, x: f32) -> f32 {
     use std::f32::consts::{FRAC_PI_2, PI};
-    /// Least squares, weighted to be even, of atan(t) / t in t^2 over 0..1: off by 4e-8 at most.
-    const ATAN: [f32; 8] = [
-        0.999_999_34,
-        -0.333_298_6,
-        0.199_465_66,
-        -0.139_086_29,
-        0.096_421_95,
-        -0.055_912_29,
-        0.021_862_93,
-        -0.004_054_559,
-    ];
     let (across, along) = (y.abs(), x.abs());
     let steep = across > along;
     let (less, more) = if steep { (along, across) } else { (across, along) };
@@ -75,8 +76,14 @@ pub fn nearest(number: f32) -> f32 {
     (number + ROUNDER) - ROUNDER
 }
 
+/// The same as an integer.
+#[inline(always)]
+pub fn whole(number: f32) -> i32 {
+    ((number + ROUNDER).to_bits() as i32).wrapping_sub(ROUNDER.to_bits() as i32)
+}
+
 /// In `f32`, neighbours of 1.5 x 2^23 are whole numbers.
-const ROUNDER: f32 = 12_582_912.0;
+pub(super) const ROUNDER: f32 = 12_582_912.0;
 
 /// Units of an arc of `rad`.
 pub fn units(rad: f64) -> u32 {
@@ -126,6 +133,13 @@ impl AngleRange {
             self.start = angle;
         }
         self.width = grown.min(u32::from(u16::MAX)) as u16;
+    }
+
+    /// Whether the two arcs, each widened by `margin` on both sides, meet: whether [`AngleRange::depth`] is positive, but for
+    /// its rounding.
+    pub fn meets(self, other: AngleRange, margin: u32) -> bool {
+        let reach = (self.width / 2).saturating_add(other.width / 2).saturating_add(2 * margin as u16);
+        u32::from(reach) > self.middle().distance(other.middle())
     }
 
     /// How far the two arcs, each widened by `margin` on both sides, must slide apart until they no

@@ -12,6 +12,7 @@ pub mod standard;
 pub mod surface;
 pub mod sweep;
 pub mod tiles;
+pub mod track;
 pub mod verdict;
 pub mod view;
 pub mod visagge;

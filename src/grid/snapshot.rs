@@ -55,6 +55,7 @@ impl Frame {
 impl Visagge {
     /// The map as it is now.
     pub fn map(&mut self) -> Map {
+        self.settle();
         if self.as_in_the_paper {
             self.remove_motion();
         } else {

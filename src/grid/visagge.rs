@@ -5,13 +5,14 @@
 
 use super::{
     angle::{Angle, units},
-    cell::{Cell, Look, Rule},
+    cell::{Cell, Rule},
     free::Outline,
-    lanes,
+    lanes::{self, Path},
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
+    track::{Block, LANES, Look, Track, distance_units},
     verdict::Judgement,
-    view::{HIT, Observation, Place, Sights, Tolerance, View},
+    view::{HIT, Place, Tolerance, View},
 };
 use serde::{Deserialize, Serialize};
 use std::f64::consts::SQRT_2;
@@ -95,8 +96,10 @@ const NONE: u16 = u16::MAX;
 pub(super) struct Evidence {
     slots: Box<[u16; (SIDE * SIDE) as usize]>,
     pub(super) cells: Vec<Cell>,
-    /// Where each of `cells` is, by itself: all that is needed to find those of which a scan says something.
-    places: Vec<Place>,
+    /// The view angles of `cells`, in the same order: all of them that most scans touch.
+    pub(super) blocks: Vec<Block>,
+    /// The last scan that these were compared with.
+    looked_scan: u32,
     /// What was last judged of each of `cells`.
     pub(super) judgements: Vec<Judgement>,
     /// A bit for each cell that is shown unless it is an image, a word a row.
@@ -112,7 +115,8 @@ impl Default for Evidence {
         Evidence {
             slots: Box::new([NONE; (SIDE * SIDE) as usize]),
             cells: Vec::new(),
-            places: Vec::new(),
+            blocks: Vec::new(),
+            looked_scan: 0,
             judgements: Vec::new(),
             shown: [0; SIDE as usize],
             mirrors: [0; SIDE as usize],
@@ -124,18 +128,36 @@ impl Default for Evidence {
 impl Evidence {
     /// The cell at this place, made where it was missing, and marked as hit.
     #[inline(always)]
-    fn hit(&mut self, place: [u8; 2], make: impl FnOnce() -> Cell) -> &mut Cell {
-        let number = slot(place);
-        let slot = &mut self.slots[number];
-        if *slot == NONE {
-            *slot = self.cells.len() as u16;
-            self.cells.push(make());
-            self.places.push(number as Place);
+    fn hit(&mut self, place: [u8; 2], make: impl FnOnce(Place) -> (Cell, Track)) -> &mut Cell {
+        let at = slot(place);
+        let mut number = usize::from(self.slots[at]);
+        if number == usize::from(NONE) {
+            number = self.cells.len();
+            self.slots[at] = number as u16;
+            let (cell, track) = make(at as Place);
+            self.cells.push(cell);
             self.judgements.push(Judgement::default());
+            if number.is_multiple_of(LANES) {
+                self.blocks.push(Block::default());
+            }
+            self.blocks[number / LANES].set(number % LANES, track);
         }
-        let slot = usize::from(*slot);
-        self.places[slot] |= HIT;
-        &mut self.cells[slot]
+        self.blocks[number / LANES].place[number % LANES] |= HIT;
+        &mut self.cells[number]
+    }
+
+    /// The view angles of the cell with this number.
+    fn track(&self, number: usize) -> Track {
+        self.blocks[number / LANES].get(number % LANES)
+    }
+
+    /// Lets the cells know what is known of their view angles by now.
+    fn settle(&mut self) {
+        for (cells, block) in self.cells.chunks_mut(LANES).zip(&self.blocks) {
+            for (lane, cell) in cells.iter_mut().enumerate() {
+                cell.settle(&block.get(lane));
+            }
+        }
     }
 
     /// The cell in this column and row, or beside, if something may be seen through it or in it.
@@ -157,7 +179,8 @@ impl Evidence {
     /// Memory beside the tile itself (bytes).
     pub(super) fn bytes(&self) -> usize {
         size_of_val(&*self.slots)
-            + self.cells.capacity() * (size_of::<Cell>() + size_of::<Place>() + size_of::<Judgement>())
+            + self.cells.capacity() * (size_of::<Cell>() + size_of::<Judgement>())
+            + self.blocks.capacity() * size_of::<Block>()
     }
 
     fn retain(&mut self, keep: impl Fn(&Cell) -> bool) {
@@ -171,8 +194,12 @@ impl Evidence {
             self.shown[usize::from(cell.place[1])] &= !(1 << cell.place[0]);
             self.mirrors[usize::from(cell.place[1])] &= !(1 << cell.place[0]);
             self.cells.swap_remove(number);
-            self.places.swap_remove(number);
             self.judgements.swap_remove(number);
+            let last = self.cells.len();
+            let track = self.track(last);
+            self.blocks[number / LANES].set(number % LANES, track);
+            self.blocks[last / LANES].set(last % LANES, Track::default());
+            self.blocks.truncate(last.div_ceil(LANES));
             if let Some(moved) = self.cells.get(number) {
                 self.slots[slot(moved.place)] = number as u16;
             }
@@ -182,6 +209,19 @@ impl Evidence {
 
 fn slot(place: [u8; 2]) -> usize {
     usize::from(place[1]) * SIDE as usize + usize::from(place[0])
+}
+
+/// A scan and a tile that it is compared with.
+pub(super) struct Glance<'a> {
+    pub view: &'a View,
+    /// The middle of the tile's first cell, seen from the sensor (m).
+    pub corner: [f32; 2],
+    pub resolution: f32,
+    pub rule: &'a Rule,
+    /// Way that the sensor has driven (m).
+    pub way: f32,
+    /// Whether the tile was compared with the scan before.
+    pub follows: bool,
 }
 
 /// The middle of a tile's first cell, seen from the sensor in the middle of the scan (m). Taken anew for each
@@ -223,7 +263,6 @@ pub struct Visagge {
     tolerance: Tolerance,
     view: View,
     outline: Outline,
-    sights: Sights,
     /// Number of the last scan: one more for the next, two more where scans were lost in between.
     scan: u32,
     seq: Option<u64>,
@@ -245,7 +284,6 @@ impl Visagge {
             as_in_the_paper: false,
             view: View::default(),
             outline: Outline::default(),
-            sights: Sights::default(),
             scan: 0,
             seq: None,
             way: 0.0,
@@ -274,14 +312,14 @@ impl Visagge {
 
     /// Inserts one scan, in the instructions of the function that this becomes a part of.
     #[inline(always)]
-    pub(super) fn insert_here(&mut self, sweep: &Sweep) {
+    pub(super) fn insert_here<P: Path>(&mut self, sweep: &Sweep) {
         if sweep.is_empty() {
             return;
         }
         self.begin(sweep);
         let rule = self.rule(sweep);
         self.record_hits(sweep, &rule);
-        self.record_observations(&rule);
+        self.record_observations::<P>(&rule);
         self.record_free();
         self.free_body();
     }
@@ -331,42 +369,37 @@ impl Visagge {
             let evidence = tile.evidence.get_or_insert_default();
             let at = [(point.x - f64::from(index.x)) as f32, (point.y - f64::from(index.y)) as f32];
             let place = [column as u8, row as u8];
-            let mut look = Look { scan: self.scan, angle: Default::default(), range, way: self.way };
-            let cell = evidence.hit(place, || {
-                look.angle = Angle::from_rad((-direction.y).atan2(-direction.x));
-                Cell::new(place, crossed, &look)
+            let cell = evidence.hit(place, |at| {
+                let angle = Angle::from_rad((-direction.y).atan2(-direction.x));
+                let look = Look { angle, range: distance_units(range).max(1), way: self.way };
+                (Cell::new(place, crossed), Track::new(at, &look))
             });
             cell.record_hit(at, self.scan, self.time, rule);
         }
     }
 
-    /// Core steps 2 to 5 for every cell with evidence that the scan says something of: of no other is anything touched but
-    /// its place.
+    /// Core steps 2 to 5 for every cell with evidence that the scan may say something of.
     #[inline(always)]
-    fn record_observations(&mut self, rule: &Rule) {
-        let Visagge { tiles, view, tolerance, sights, .. } = self;
+    fn record_observations<P: Path>(&mut self, rule: &Rule) {
+        let Visagge { tiles, view, tolerance, .. } = self;
         let half_tile = (f64::from(SIDE - 1) * self.resolution / 2.0) as f32;
         let radius = half_tile * std::f32::consts::SQRT_2;
-        let before = Look { scan: self.scan, angle: Default::default(), range: 0.0, way: self.way };
         for number in 0..tiles.len() {
             let corner = corner(tiles.place(number), view, self.resolution);
             if view.is_out_of_reach(corner[0] + half_tile, corner[1] + half_tile, radius, tolerance) {
                 continue;
             }
             let Some(evidence) = &mut tiles.at_mut(number).evidence else { continue };
+            let follows = self.scan - evidence.looked_scan <= 1;
+            evidence.looked_scan = self.scan;
+            let glance =
+                Glance { view, corner, resolution: self.resolution as f32, rule, way: self.way, follows };
             let mut removed = false;
-            let worth = view.sights(corner, &evidence.places, tolerance, sights);
-            for number in (0..worth).map(|n| sights.worth(n)) {
-                evidence.places[number] &= !HIT;
-                let (cell, sight) = (&mut evidence.cells[number], sights.at(number));
-                let look = Look { angle: sight.angle, range: sight.range, ..before };
-                let observation = if cell.hit_scan == look.scan {
-                    Observation::Seen
-                } else {
-                    view.observe(&sight, cell.would_return(sight.range), tolerance)
-                };
-                cell.record(observation, &look, rule);
-                removed |= cell.occupancy == 0;
+            for (block, cells) in evidence.blocks.iter_mut().zip(evidence.cells.chunks_mut(LANES)) {
+                P::record(&glance, block, cells.len(), |lane, event| {
+                    cells[lane].record(event, rule);
+                    removed |= cells[lane].occupancy == 0;
+                });
             }
             if removed {
                 evidence.retain(|cell| cell.occupancy > 0);
@@ -434,6 +467,15 @@ impl Visagge {
         }
     }
 
+    /// Lets all cells know what is known of their view angles by now.
+    pub(super) fn settle(&mut self) {
+        for number in 0..self.tiles.len() {
+            if let Some(evidence) = &mut self.tiles.at_mut(number).evidence {
+                evidence.settle();
+            }
+        }
+    }
+
     /// All cells with evidence.
     pub(super) fn cells(&self) -> impl Iterator<Item = (CellIndex, &Cell, &Judgement)> {
         self.tiles.iter().flat_map(|(place, tile)| {
@@ -448,12 +490,19 @@ impl Visagge {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{grid::sweep::tests::half_circle, pose::pose, scan::Scan};
+    use crate::{
+        grid::{
+            sweep::tests::half_circle,
+            track::{Run, Sector},
+            view::Observation,
+        },
+        pose::pose,
+        scan::Scan,
+    };
     use proptest::prelude::*;
 
     impl Visagge {
-        /// What the fast paths must do, cell by cell: no tile is left out, nothing is known to be hidden or missed before it
-        /// is looked at closely.
+        /// What the fast paths must do, cell by cell: no tile is left out, and cells are gone through one by one.
         fn insert_plainly(&mut self, sweep: &Sweep) {
             self.begin(sweep);
             let rule = self.rule(sweep);
@@ -461,20 +510,25 @@ mod tests {
             for number in 0..self.tiles.len() {
                 let corner = corner(self.tiles.place(number), &self.view, self.resolution);
                 let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
-                for cell in &mut evidence.cells {
+                for number in 0..evidence.cells.len() {
+                    let mut track = evidence.track(number);
+                    let cell = &mut evidence.cells[number];
+                    if self.scan - evidence.looked_scan > 1 {
+                        track.end_run();
+                    }
                     let at =
                         |axis: usize| corner[axis] + f32::from(cell.place[axis]) * self.resolution as f32;
-                    let Some(sight) = self.view.sight(at(0), at(1)) else { continue };
-                    let look =
-                        Look { scan: self.scan, angle: sight.angle, range: sight.range, way: self.way };
-                    let would_return = cell.would_return(sight.range);
+                    let sight = self.view.sight(at(0), at(1));
+                    let look = Look { angle: sight.angle, range: sight.range, way: self.way };
                     let observation = if cell.hit_scan == self.scan {
                         Observation::Seen
                     } else {
-                        self.view.observe_closely(&sight, would_return, &self.tolerance)
+                        self.view.observe(&sight, track.would_return(sight.range))
                     };
-                    cell.record(observation, &look, &rule);
+                    cell.record(track.record(observation, &look, &rule), &rule);
+                    evidence.blocks[number / LANES].set(number % LANES, track);
                 }
+                evidence.looked_scan = self.scan;
                 evidence.retain(|cell| cell.occupancy > 0);
             }
             self.record_free();
@@ -500,9 +554,21 @@ mod tests {
         [-0.2..0.2, -0.2..0.2, -0.3..0.3]
     }
 
-    fn contents(grid: &Visagge) -> Vec<(TileIndex, [u64; SIDE as usize], Vec<Cell>)> {
-        let cells =
-            |tile: &Tile| tile.evidence.as_ref().map(|evidence| evidence.cells.clone()).unwrap_or_default();
+    type Contents = Vec<(TileIndex, [u64; SIDE as usize], Vec<(Cell, Track)>)>;
+
+    fn contents(grid: &Visagge) -> Contents {
+        let cells = |tile: &Tile| {
+            let evidence = tile.evidence.iter();
+            evidence
+                .flat_map(|evidence| {
+                    evidence.cells.iter().enumerate().map(|(number, cell)| (*cell, evidence.track(number)))
+                })
+                // Of tiles that were left out, runs end when they are looked at again.
+                .map(|(cell, track)| {
+                    (cell, Track { run: Run::None, sector: Sector::default(), missed_scans: 0, ..track })
+                })
+                .collect()
+        };
         grid.tiles.iter().map(|(place, tile)| (place, tile.free, cells(tile))).collect()
     }
 
@@ -536,8 +602,13 @@ mod tests {
                 seq += u64::from(turn > 0.2);
             }
             let plain = contents(&grids[0]);
-            prop_assert!(plain == contents(&grids[1]), "portable");
-            prop_assert!(plain == contents(&grids[2]), "widest");
+            for (grid, name) in [(&grids[1], "portable"), (&grids[2], "widest")] {
+                for ((place, free, cells), other) in plain.iter().zip(contents(grid)) {
+                    prop_assert_eq!((place, free), (&other.0, &other.1));
+                    let differ = cells.iter().zip(&other.2).find(|(a, b)| a != b);
+                    prop_assert!(cells.len() == other.2.len() && differ.is_none(), "{name}: {differ:?}");
+                }
+            }
             prop_assert!(plain.iter().any(|(.., cells)| cells.len() > 1) || seq < 20);
         }
     }
