@@ -6,16 +6,37 @@
 #![allow(unsafe_code)]
 
 use super::{
+    angle::Angle,
     sweep::Sweep,
-    track::{Block, Event, Look},
-    view::{HIT, Observation},
+    track::{Block, Event, LANES, Look},
+    view::{HIT, Observation, Sight},
     visagge::{Glance, Visagge},
 };
 
 /// Compares cells with a scan and records what it says of them.
 pub(super) trait Path {
-    /// Does so for the first `count` cells of a block, and tells of what is the business of the cell in a lane.
-    fn record(glance: &Glance, block: &mut Block, count: usize, tell: impl FnMut(usize, Event));
+    /// How the sensor sees the cells of a block.
+    fn sights(glance: &Glance, block: &Block, sights: &mut Sights);
+    /// Records what the scan says of the first `count` cells of a block, and tells of what is the business of the cell in a lane.
+    fn record(
+        glance: &Glance,
+        block: &mut Block,
+        sights: &Sights,
+        count: usize,
+        tell: impl FnMut(usize, Event),
+    );
+}
+
+/// [`super::view::Sight`]s of the cells of a block. They are taken of all blocks of a tile before any is recorded: each takes long,
+/// but none waits for another.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(32))]
+pub(super) struct Sights {
+    range: [u16; LANES],
+    beam: [u16; LANES],
+    angle: [u16; LANES],
+    /// All ones or 0.
+    is_in_view: [u16; LANES],
 }
 
 /// Inserts one scan.
@@ -47,34 +68,62 @@ pub(super) struct Portable;
 
 impl Path for Portable {
     #[inline(always)]
-    fn record(glance: &Glance, block: &mut Block, count: usize, mut tell: impl FnMut(usize, Event)) {
+    fn sights(glance: &Glance, block: &Block, sights: &mut Sights) {
+        for lane in 0..LANES {
+            let at = |axis: usize| {
+                let along = block.place[lane] >> (6 * axis) & 63;
+                glance.corner[axis] + f32::from(along) * glance.resolution
+            };
+            let Sight { range, beam, angle, is_in_view } = glance.view.sight(at(0), at(1));
+            sights.range[lane] = range;
+            sights.beam[lane] = beam;
+            sights.angle[lane] = angle.0;
+            sights.is_in_view[lane] = if is_in_view { u16::MAX } else { 0 };
+        }
+    }
+
+    #[inline(always)]
+    fn record(
+        glance: &Glance,
+        block: &mut Block,
+        sights: &Sights,
+        count: usize,
+        mut tell: impl FnMut(usize, Event),
+    ) {
         for lane in 0..count {
-            record_lane(glance, block, lane, &mut tell);
+            record_lane(glance, block, sights, lane, &mut tell);
         }
     }
 }
 
 #[inline(always)]
-fn record_lane(glance: &Glance, block: &mut Block, lane: usize, tell: &mut impl FnMut(usize, Event)) {
-    let mut track = block.get(lane);
-    if !glance.follows {
-        track.end_run();
-    }
-    let at = |axis: usize| {
-        let along = track.place >> (6 * axis) & 63;
-        glance.corner[axis] + f32::from(along) * glance.resolution
+fn record_lane(
+    glance: &Glance,
+    block: &mut Block,
+    sights: &Sights,
+    lane: usize,
+    tell: &mut impl FnMut(usize, Event),
+) {
+    let sight = Sight {
+        range: sights.range[lane],
+        beam: sights.beam[lane],
+        angle: Angle(sights.angle[lane]),
+        is_in_view: sights.is_in_view[lane] != 0,
     };
-    let sight = glance.view.sight(at(0), at(1));
-    let look = Look { angle: sight.angle, range: sight.range, way: glance.way };
-    let observation = if track.place & HIT != 0 {
+    let observation = if block.place[lane] & HIT != 0 {
         Observation::Seen
     } else {
-        glance.view.observe(&sight, track.would_return(sight.range))
+        glance.view.observe(&sight, || block.would_return(lane, sight.range))
     };
     // Nearly always nothing has gone on here before either.
     if observation == Observation::Hidden && block.run[lane] == 0 && block.missed_scans[lane] == 0 {
         return;
     }
+    let mut track = block.get(lane);
+    if !glance.follows {
+        track.end_run();
+    }
+    let look = Look { angle: sight.angle, range: sight.range, way: glance.way };
     let event = track.record(observation, &look, glance.rule);
     block.set(lane, track);
     if event != Event::None {
@@ -84,7 +133,7 @@ fn record_lane(glance: &Glance, block: &mut Block, lane: usize, tell: &mut impl 
 
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
-    use super::{Path, record_lane};
+    use super::{Path, Sights, record_lane};
     use crate::grid::{
         angle::{ATAN, ROUNDER},
         track::{Block, Event, LANES, Run, Sectors, TENTH, UNITS_PER_M},
@@ -98,14 +147,26 @@ mod avx2 {
 
     impl Path for Avx2 {
         #[inline(always)]
-        fn record(glance: &Glance, block: &mut Block, count: usize, mut tell: impl FnMut(usize, Event)) {
+        fn sights(glance: &Glance, block: &Block, sights: &mut Sights) {
             // SAFETY: `insert_with_avx2` alone comes here, and it was called because the features are there.
-            let mut closely = unsafe { record_block(glance, block, count) };
+            unsafe { take_sights(glance, block, sights) };
+        }
+
+        #[inline(always)]
+        fn record(
+            glance: &Glance,
+            block: &mut Block,
+            sights: &Sights,
+            count: usize,
+            mut tell: impl FnMut(usize, Event),
+        ) {
+            // SAFETY: as above.
+            let mut closely = unsafe { record_block(glance, block, sights, count) };
             while closely != 0 {
                 // Two bits a lane.
                 let lane = closely.trailing_zeros() as usize / 2;
                 closely &= !(0b11 << (2 * lane));
-                record_lane(glance, block, lane, &mut tell);
+                record_lane(glance, block, sights, lane, &mut tell);
             }
         }
     }
@@ -113,33 +174,44 @@ mod avx2 {
     /// Sixteen numbers of 16 bits.
     type Words = __m256i;
 
+    #[target_feature(enable = "avx2,bmi2,lzcnt")]
+    #[inline]
+    fn take_sights(glance: &Glance, block: &Block, sights: &mut Sights) {
+        let (lens, zero) = (&glance.view.lens, _mm256_setzero_si256());
+        let place = load(&block.place);
+        let column = _mm256_and_si256(place, words(63));
+        let row = _mm256_and_si256(_mm256_srli_epi16(place, 6), words(63));
+        let low = |words| _mm256_unpacklo_epi16(words, zero);
+        let high = |words| _mm256_unpackhi_epi16(words, zero);
+        let (first, second) =
+            (sight(lens, glance, low(column), low(row)), sight(lens, glance, high(column), high(row)));
+        let range = _mm256_packs_epi32(first.range, second.range);
+        store(&mut sights.range, _mm256_max_epi16(range, words(1)));
+        store(&mut sights.beam, _mm256_packus_epi32(first.beam, second.beam));
+        store(&mut sights.angle, _mm256_packus_epi32(first.angle, second.angle));
+        store(&mut sights.is_in_view, _mm256_packs_epi32(first.is_in_view, second.is_in_view));
+    }
+
     /// Records what the scan says of a block, but for the lanes of which it returns two bits each: these
     /// are left as they were.
     #[target_feature(enable = "avx2,bmi2,lzcnt")]
     #[inline]
-    fn record_block(glance: &Glance, block: &mut Block, count: usize) -> u32 {
+    fn record_block(glance: &Glance, block: &mut Block, sights: &Sights, count: usize) -> u32 {
         let (view, rule) = (glance.view, glance.rule);
         let zero = _mm256_setzero_si256();
         let place = load(&block.place);
-        let column = _mm256_and_si256(place, words(63));
-        let row = _mm256_and_si256(_mm256_srli_epi16(place, 6), words(63));
-        let first =
-            sight(&view.lens, glance, _mm256_unpacklo_epi16(column, zero), _mm256_unpacklo_epi16(row, zero));
-        let second =
-            sight(&view.lens, glance, _mm256_unpackhi_epi16(column, zero), _mm256_unpackhi_epi16(row, zero));
-        let range = _mm256_max_epi16(_mm256_packs_epi32(first.range, second.range), words(1));
-        let beam = _mm256_packs_epi32(first.beam, second.beam);
-        let angle = _mm256_packus_epi32(first.angle, second.angle);
-        let in_view = _mm256_packs_epi32(first.in_view, second.in_view);
+        let (range, beam) = (load(&sights.range), load(&sights.beam));
+        let (angle, in_view) = (load(&sights.angle), load(&sights.is_in_view));
         let hit = _mm256_srai_epi16(place, 15);
 
         // The entry of each cell.
         let mut band = zero;
         for &nearer in &view.nearer {
-            if nearer == 0 {
+            let is_nearer = _mm256_cmpgt_epi16(words(nearer as u16), range);
+            if is_none(is_nearer) {
                 break;
             }
-            band = _mm256_sub_epi16(band, _mm256_cmpgt_epi16(words(nearer as u16), range));
+            band = _mm256_sub_epi16(band, is_nearer);
         }
         let stride = _mm256_set1_epi32(1 | (view.count as i32) << 16);
         let entries = [
@@ -341,17 +413,17 @@ mod avx2 {
     }
 
     /// What eight cells look like.
-    struct Sights {
+    struct Seen {
         range: __m256i,
         beam: __m256i,
         angle: __m256i,
-        in_view: __m256i,
+        is_in_view: __m256i,
     }
 
     /// `Lens::sight` of eight cells.
     #[target_feature(enable = "avx2")]
     #[inline]
-    fn sight(lens: &Lens, glance: &Glance, column: __m256i, row: __m256i) -> Sights {
+    fn sight(lens: &Lens, glance: &Glance, column: __m256i, row: __m256i) -> Seen {
         let at = |corner: f32, along| {
             _mm256_add_ps(
                 _mm256_set1_ps(corner),
@@ -384,11 +456,11 @@ mod avx2 {
         let limit = _mm256_set1_epi32(lens.last as i32);
         let bearing = _mm256_add_ps(_mm256_add_ps(bearing, turned), _mm256_set1_ps(consts::PI));
         let units = _mm256_mul_ps(bearing, _mm256_set1_ps(65_536.0 / consts::TAU));
-        Sights {
+        Seen {
             range: whole(_mm256_mul_ps(range, _mm256_set1_ps(UNITS_PER_M))),
             beam: _mm256_min_epi32(_mm256_max_epi32(whole(beam), _mm256_setzero_si256()), limit),
             angle: _mm256_and_si256(whole(units), _mm256_set1_epi32(0xffff)),
-            in_view: _mm256_castps_si256(_mm256_and_ps(
+            is_in_view: _mm256_castps_si256(_mm256_and_ps(
                 _mm256_cmp_ps::<_CMP_GT_OQ>(beam, _mm256_set1_ps(-0.5)),
                 _mm256_cmp_ps::<_CMP_LT_OQ>(beam, _mm256_set1_ps(lens.last + 0.5)),
             )),
@@ -405,10 +477,12 @@ mod avx2 {
         let (less, more) = (_mm256_min_ps(across, along), _mm256_max_ps(across, along));
         let ratio = _mm256_div_ps(less, _mm256_max_ps(more, _mm256_set1_ps(f32::MIN_POSITIVE)));
         let square = _mm256_mul_ps(ratio, ratio);
-        let mut sum = _mm256_set1_ps(ATAN[ATAN.len() - 1]);
-        for &term in ATAN[..ATAN.len() - 1].iter().rev() {
-            sum = _mm256_add_ps(_mm256_mul_ps(sum, square), _mm256_set1_ps(term));
-        }
+        let pair = |n: usize| {
+            _mm256_add_ps(_mm256_set1_ps(ATAN[n]), _mm256_mul_ps(_mm256_set1_ps(ATAN[n + 1]), square))
+        };
+        let fourth = _mm256_mul_ps(square, square);
+        let sum = _mm256_add_ps(pair(2), _mm256_mul_ps(fourth, pair(4)));
+        let sum = _mm256_add_ps(pair(0), _mm256_mul_ps(fourth, sum));
         let octant = _mm256_mul_ps(sum, ratio);
         let turned = |from: f32, angle| _mm256_sub_ps(_mm256_set1_ps(from), angle);
         let quadrant = _mm256_blendv_ps(octant, turned(consts::FRAC_PI_2, octant), steep);

@@ -119,8 +119,7 @@ impl Track {
     /// Whether the cell, were it still there, would return something over this distance: it was seen from
     /// as far, or nearly. What is seen of glass from near, off its normal, is too faint farther away.
     pub fn would_return(&self, range: u16) -> bool {
-        let least = self.visible.ends[0].min(self.visible.ends[1]);
-        range <= least.saturating_add((u32::from(least) * TENTH >> 16) as u16)
+        would_return(self.visible.ends, range)
     }
 
     /// Core steps 2 to 4. Where something nearer returned, or the cell is outside of the field of view, nothing goes on.
@@ -216,6 +215,11 @@ impl Track {
     }
 }
 
+fn would_return(ends: [u16; 2], range: u16) -> bool {
+    let least = ends[0].min(ends[1]);
+    range <= least.saturating_add((u32::from(least) * TENTH >> 16) as u16)
+}
+
 /// A tenth of 2^16, rounded up.
 pub(super) const TENTH: u32 = 6_554;
 
@@ -277,6 +281,12 @@ impl Block {
             way_too: self.way_too[lane],
             widest_missed: self.widest_missed[lane],
         }
+    }
+
+    /// [`Track::would_return`] of one cell.
+    #[inline(always)]
+    pub fn would_return(&self, lane: usize, range: u16) -> bool {
+        would_return([self.visible.ends[0][lane], self.visible.ends[1][lane]], range)
     }
 
     /// Puts one cell's part in.

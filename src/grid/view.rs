@@ -45,7 +45,7 @@ pub struct Sight {
     /// Distance ([`UNITS_PER_M`]), at least 1.
     pub range: u16,
     /// The beam that passes nearest.
-    pub beam: usize,
+    pub beam: u16,
     /// Bearing of the sensor seen from the cell.
     pub angle: Angle,
     /// Whether it is in the field of view.
@@ -95,7 +95,7 @@ impl Lens {
         let beam = beam + turned * self.beams_per_rad;
         Sight {
             range: whole(range * UNITS_PER_M).clamp(1, i32::from(FARTHEST)) as u16,
-            beam: whole(beam).clamp(0, self.last as i32) as usize,
+            beam: whole(beam).clamp(0, self.last as i32) as u16,
             angle: Angle::from_bearing(bearing + turned + std::f32::consts::PI),
             is_in_view: beam > -0.5 && beam < self.last + 0.5,
         }
@@ -346,17 +346,18 @@ impl View {
     ///
     /// `would_return`: from this far, the cell is known to return something.
     #[inline(always)]
-    pub fn observe(&self, sight: &Sight, would_return: bool) -> Observation {
+    pub fn observe(&self, sight: &Sight, would_return: impl FnOnce() -> bool) -> Observation {
         if !sight.is_in_view {
             return Observation::Hidden;
         }
         let range = sight.range as i16;
         let band = self.nearer.iter().filter(|&&nearer| nearer > range).count();
-        let Crossing { returned, low, high, empty } = self.crossings[band * self.count + sight.beam];
+        let Crossing { returned, low, high, empty } =
+            self.crossings[band * self.count + usize::from(sight.beam)];
         let is_of_cell = |distance: i16| (distance - range).abs() <= self.along;
         if is_of_cell(returned) || is_of_cell(low) || is_of_cell(high) {
             Observation::Seen
-        } else if empty & FARTHEST > range.saturating_add(self.along) && (empty >= 0 || would_return) {
+        } else if empty & FARTHEST > range.saturating_add(self.along) && (empty >= 0 || would_return()) {
             if empty >= 0 { Observation::Missed } else { Observation::Silent }
         } else if low < range {
             Observation::Hidden
@@ -432,7 +433,7 @@ mod tests {
 
     fn observe(view: &View, x: f32, y: f32) -> Option<Observation> {
         let sight = view.sight(x, y);
-        sight.is_in_view.then(|| view.observe(&sight, sight.range < distance_units(12.0)))
+        sight.is_in_view.then(|| view.observe(&sight, || sight.range < distance_units(12.0)))
     }
 
     #[test]
@@ -478,7 +479,7 @@ mod tests {
             let point = origin + direction * 2.0;
             let [dx, dy] = [point.x - view.middle[0], point.y - view.middle[1]];
             let sight = view.sight(dx as f32, dy as f32);
-            assert!(sight.is_in_view && sight.beam == number, "{number}: {sight:?}");
+            assert!(sight.is_in_view && usize::from(sight.beam) == number, "{number}: {sight:?}");
             assert!(sight.range.abs_diff(distance_units(2.0)) <= 1, "{number}: {sight:?}");
         }
     }

@@ -7,7 +7,7 @@ use super::{
     angle::{Angle, units},
     cell::{Cell, Rule},
     free::Outline,
-    lanes::{self, Path},
+    lanes::{self, Path, Sights},
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
     track::{Block, LANES, Look, Track, distance_units},
@@ -263,6 +263,8 @@ pub struct Visagge {
     tolerance: Tolerance,
     view: View,
     outline: Outline,
+    /// Of the tile in work.
+    sights: Box<[Sights; (SIDE * SIDE) as usize / LANES]>,
     /// Number of the last scan: one more for the next, two more where scans were lost in between.
     scan: u32,
     seq: Option<u64>,
@@ -284,6 +286,7 @@ impl Visagge {
             as_in_the_paper: false,
             view: View::default(),
             outline: Outline::default(),
+            sights: Box::new([Sights::default(); (SIDE * SIDE) as usize / LANES]),
             scan: 0,
             seq: None,
             way: 0.0,
@@ -381,7 +384,7 @@ impl Visagge {
     /// Core steps 2 to 5 for every cell with evidence that the scan may say something of.
     #[inline(always)]
     fn record_observations<P: Path>(&mut self, rule: &Rule) {
-        let Visagge { tiles, view, tolerance, .. } = self;
+        let Visagge { tiles, view, tolerance, sights, .. } = self;
         let half_tile = (f64::from(SIDE - 1) * self.resolution / 2.0) as f32;
         let radius = half_tile * std::f32::consts::SQRT_2;
         for number in 0..tiles.len() {
@@ -395,8 +398,12 @@ impl Visagge {
             let glance =
                 Glance { view, corner, resolution: self.resolution as f32, rule, way: self.way, follows };
             let mut removed = false;
-            for (block, cells) in evidence.blocks.iter_mut().zip(evidence.cells.chunks_mut(LANES)) {
-                P::record(&glance, block, cells.len(), |lane, event| {
+            for (block, sights) in evidence.blocks.iter().zip(&mut **sights) {
+                P::sights(&glance, block, sights);
+            }
+            let cells = evidence.cells.chunks_mut(LANES);
+            for ((block, cells), sights) in evidence.blocks.iter_mut().zip(cells).zip(&**sights) {
+                P::record(&glance, block, sights, cells.len(), |lane, event| {
                     cells[lane].record(event, rule);
                     removed |= cells[lane].occupancy == 0;
                 });
@@ -523,7 +530,7 @@ mod tests {
                     let observation = if cell.hit_scan == self.scan {
                         Observation::Seen
                     } else {
-                        self.view.observe(&sight, track.would_return(sight.range))
+                        self.view.observe(&sight, || track.would_return(sight.range))
                     };
                     cell.record(track.record(observation, &look, &rule), &rule);
                     evidence.blocks[number / LANES].set(number % LANES, track);
