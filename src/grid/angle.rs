@@ -42,21 +42,31 @@ impl Angle {
 pub(super) const ATAN: [f32; 6] =
     [0.999_977_26, -0.332_623_47, 0.193_543_46, -0.116_432_87, 0.052_653_32, -0.011_721_2];
 
+/// atan of a ratio in 0..1, with its square.
+#[inline(always)]
+pub(super) fn atan(ratio: f32, square: f32) -> f32 {
+    // In pairs, which wait less for each other than term by term.
+    let [a, b, c] = [0, 2, 4].map(|n| ATAN[n] + ATAN[n + 1] * square);
+    let fourth = square * square;
+    (a + fourth * (b + fourth * c)) * ratio
+}
+
 /// The bearing of (x, y), in rad, to within 3e-6: [`f32::atan2`] without a branch or a call, so that eight can be
 /// had at a time. Where both are 0 it is 0.
 #[inline(always)]
 pub fn atan2(y: f32, x: f32) -> f32 {
-    use std::f32::consts::{FRAC_PI_2, PI};
     let (across, along) = (y.abs(), x.abs());
     let steep = across > along;
     let (less, more) = if steep { (along, across) } else { (across, along) };
     let ratio = less / more.max(f32::MIN_POSITIVE);
-    let square = ratio * ratio;
-    // In pairs, which wait less for each other than term by term.
-    let [a, b, c] = [0, 2, 4].map(|n| ATAN[n] + ATAN[n + 1] * square);
-    let fourth = square * square;
-    let sum = a + fourth * (b + fourth * c);
-    let octant = sum * ratio;
+    let octant = atan(ratio, ratio * ratio);
+    in_circle(octant, steep, y, x)
+}
+
+/// The bearing of (x, y) from the angle to the nearest axis; `steep`: that is the y axis.
+#[inline(always)]
+pub(super) fn in_circle(octant: f32, steep: bool, y: f32, x: f32) -> f32 {
+    use std::f32::consts::{FRAC_PI_2, PI};
     let quadrant = if steep { FRAC_PI_2 - octant } else { octant };
     let half = if x < 0.0 { PI - quadrant } else { quadrant };
     if y < 0.0 { -half } else { half }

@@ -137,7 +137,7 @@ mod avx2 {
     use crate::grid::{
         angle::{ATAN, ROUNDER},
         track::{Block, Event, LANES, Run, Sectors, TENTH, UNITS_PER_M},
-        view::{HIT, LEAST_SQUARE, Lens},
+        view::{HIT, INVERSE, LEAST_DISTANCE, Lens},
         visagge::Glance,
     };
     use std::{arch::x86_64::*, f32::consts};
@@ -431,10 +431,16 @@ mod avx2 {
             )
         };
         let (dx, dy) = (at(glance.corner[0], column), at(glance.corner[1], row));
-        let square = _mm256_add_ps(_mm256_mul_ps(dx, dx), _mm256_mul_ps(dy, dy));
-        let middle_range = _mm256_sqrt_ps(_mm256_max_ps(square, _mm256_set1_ps(LEAST_SQUARE)));
-        let inverse = _mm256_div_ps(_mm256_set1_ps(1.0), middle_range);
-        let bearing = atan2(dy, dx);
+        let sign = _mm256_set1_ps(-0.0);
+        let (across, along) = (_mm256_andnot_ps(sign, dy), _mm256_andnot_ps(sign, dx));
+        let steep = _mm256_cmp_ps::<_CMP_GT_OQ>(across, along);
+        let (less, more) = (_mm256_min_ps(across, along), _mm256_max_ps(across, along));
+        let one = _mm256_set1_ps(1.0);
+        let inverse = _mm256_div_ps(one, _mm256_max_ps(more, _mm256_set1_ps(LEAST_DISTANCE)));
+        let ratio = _mm256_mul_ps(less, inverse);
+        let square = _mm256_mul_ps(ratio, ratio);
+        let middle_range = _mm256_mul_ps(more, _mm256_sqrt_ps(_mm256_add_ps(one, square)));
+        let bearing = in_circle(atan(ratio, square), steep, dy, dx);
         let beam = _mm256_mul_ps(
             _mm256_sub_ps(bearing, _mm256_set1_ps(lens.first_bearing)),
             _mm256_set1_ps(lens.beams_per_rad),
@@ -449,9 +455,14 @@ mod avx2 {
         let ox = _mm256_mul_ps(_mm256_set1_ps(lens.shift[0]), moved);
         let oy = _mm256_mul_ps(_mm256_set1_ps(lens.shift[1]), moved);
         let across = _mm256_sub_ps(_mm256_mul_ps(dy, ox), _mm256_mul_ps(dx, oy));
-        let turned = _mm256_mul_ps(_mm256_mul_ps(across, inverse), inverse);
+        let term = |n: usize| _mm256_set1_ps(INVERSE[n]);
+        let inverse_sum = _mm256_add_ps(term(1), _mm256_mul_ps(square, term(2)));
+        let inverse_sum = _mm256_add_ps(term(0), _mm256_mul_ps(square, inverse_sum));
+        let inverse_square = _mm256_mul_ps(_mm256_mul_ps(inverse, inverse), inverse_sum);
+        let turned = _mm256_mul_ps(across, inverse_square);
         let along = _mm256_add_ps(_mm256_mul_ps(dx, ox), _mm256_mul_ps(dy, oy));
-        let range = _mm256_sub_ps(middle_range, _mm256_mul_ps(along, inverse));
+        let nearer = _mm256_mul_ps(_mm256_mul_ps(along, inverse_square), middle_range);
+        let range = _mm256_sub_ps(middle_range, nearer);
         let beam = _mm256_add_ps(beam, _mm256_mul_ps(turned, _mm256_set1_ps(lens.beams_per_rad)));
         let limit = _mm256_set1_epi32(lens.last as i32);
         let bearing = _mm256_add_ps(_mm256_add_ps(bearing, turned), _mm256_set1_ps(consts::PI));
@@ -467,27 +478,26 @@ mod avx2 {
         }
     }
 
-    /// `angle::atan2` of eight.
+    /// `angle::atan` of eight.
     #[target_feature(enable = "avx2")]
     #[inline]
-    fn atan2(y: __m256, x: __m256) -> __m256 {
-        let sign = _mm256_set1_ps(-0.0);
-        let (across, along) = (_mm256_andnot_ps(sign, y), _mm256_andnot_ps(sign, x));
-        let steep = _mm256_cmp_ps::<_CMP_GT_OQ>(across, along);
-        let (less, more) = (_mm256_min_ps(across, along), _mm256_max_ps(across, along));
-        let ratio = _mm256_div_ps(less, _mm256_max_ps(more, _mm256_set1_ps(f32::MIN_POSITIVE)));
-        let square = _mm256_mul_ps(ratio, ratio);
+    fn atan(ratio: __m256, square: __m256) -> __m256 {
         let pair = |n: usize| {
             _mm256_add_ps(_mm256_set1_ps(ATAN[n]), _mm256_mul_ps(_mm256_set1_ps(ATAN[n + 1]), square))
         };
         let fourth = _mm256_mul_ps(square, square);
         let sum = _mm256_add_ps(pair(2), _mm256_mul_ps(fourth, pair(4)));
-        let sum = _mm256_add_ps(pair(0), _mm256_mul_ps(fourth, sum));
-        let octant = _mm256_mul_ps(sum, ratio);
+        _mm256_mul_ps(_mm256_add_ps(pair(0), _mm256_mul_ps(fourth, sum)), ratio)
+    }
+
+    /// `angle::in_circle` of eight.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    fn in_circle(octant: __m256, steep: __m256, y: __m256, x: __m256) -> __m256 {
         let turned = |from: f32, angle| _mm256_sub_ps(_mm256_set1_ps(from), angle);
         let quadrant = _mm256_blendv_ps(octant, turned(consts::FRAC_PI_2, octant), steep);
         let half = _mm256_blendv_ps(quadrant, turned(consts::PI, quadrant), x);
-        _mm256_xor_ps(half, _mm256_and_ps(y, sign))
+        _mm256_xor_ps(half, _mm256_and_ps(y, _mm256_set1_ps(-0.0)))
     }
 
     /// `angle::nearest` of eight.

@@ -5,6 +5,7 @@ pub mod cell;
 pub mod free;
 mod lanes;
 pub mod ray;
+pub mod rays;
 mod reflection;
 mod single_pass;
 mod snapshot;

@@ -5,11 +5,10 @@
 //! and a cell is compared with a single entry of one of them.
 
 use super::{
-    angle::{Angle, atan2, nearest, whole},
+    angle::{Angle, atan, atan2, in_circle, nearest, whole},
     sweep::Sweep,
     track::UNITS_PER_M,
 };
-use nalgebra::{Point2, Vector2};
 
 /// What is known of the errors of ranges and poses, as far as it decides on a cell.
 #[derive(Clone, Copy, Debug)]
@@ -57,7 +56,7 @@ const LEVELS: usize = 6;
 /// Beams without meaning at both ends of a scan, so that windows need not be cut there.
 const PAD: usize = 1 << LEVELS;
 /// Most bands of distance.
-pub(super) const BANDS: usize = 16;
+pub(super) const BANDS: usize = 12;
 /// Longest distance that there is ([`UNITS_PER_M`]): what returned nothing.
 const FARTHEST: i16 = i16::MAX;
 
@@ -82,16 +81,22 @@ impl Lens {
     /// steps.
     #[inline(always)]
     pub fn sight(&self, dx: f32, dy: f32) -> Sight {
-        let square = dx * dx + dy * dy;
-        let middle_range = if square > LEAST_SQUARE { square } else { LEAST_SQUARE }.sqrt();
-        let inverse = 1.0 / middle_range;
-        let bearing = atan2(dy, dx);
+        let (across, along) = (dy.abs(), dx.abs());
+        let steep = across > along;
+        let (less, more) = if steep { (along, across) } else { (across, along) };
+        let inverse = 1.0 / greater(more, LEAST_DISTANCE);
+        let ratio = less * inverse;
+        let square = ratio * ratio;
+        let middle_range = more * (1.0 + square).sqrt();
+        let bearing = in_circle(atan(ratio, square), steep, dy, dx);
         let beam = self.beam(bearing);
         // To the first order, how the sensor's place at that beam differs from the one in the middle.
         let moved = lesser(greater(beam, 0.0), self.last) - self.last * 0.5;
         let (ox, oy) = (self.shift[0] * moved, self.shift[1] * moved);
-        let turned = (dy * ox - dx * oy) * inverse * inverse;
-        let range = middle_range - (dx * ox + dy * oy) * inverse;
+        // One over the square of the range, to within a hundredth: it is multiplied with centimetres.
+        let inverse_square = inverse * inverse * (INVERSE[0] + square * (INVERSE[1] + square * INVERSE[2]));
+        let turned = (dy * ox - dx * oy) * inverse_square;
+        let range = middle_range - (dx * ox + dy * oy) * inverse_square * middle_range;
         let beam = beam + turned * self.beams_per_rad;
         Sight {
             range: whole(range * UNITS_PER_M).clamp(1, i32::from(FARTHEST)) as u16,
@@ -110,8 +115,10 @@ impl Lens {
     }
 }
 
-/// Square of the least distance (m2).
-pub(super) const LEAST_SQUARE: f32 = 1e-6;
+/// Least distance along an axis (m).
+pub(super) const LEAST_DISTANCE: f32 = 1e-3;
+/// 1 / (1 + s) for s in 0..1, as a polynomial of s: off by 0.008 at most.
+pub(super) const INVERSE: [f32; 3] = [0.9926, -0.8284, 0.3431];
 
 /// Place of a cell in its tile: 64 times its row, plus its column. The highest bit marks cells that were hit.
 pub type Place = u16;
@@ -153,8 +160,6 @@ pub struct View {
     /// How far the sensor moved in the scan (m).
     moved: f64,
     pub(super) count: usize,
-    /// Origin and direction of each beam.
-    beams: Vec<(Point2<f64>, Vector2<f64>)>,
     /// `clear[level][k]`: how far the beams k..k+2^level are all known to be free ([`UNITS_PER_M`]). This and the next three have
     /// [`PAD`] beams more on either side.
     clear: [Vec<i16>; LEVELS + 1],
@@ -191,8 +196,6 @@ impl View {
             per_turn: 1.0 / turn,
             cut: (last - turn) / 2.0,
         };
-        self.beams.clear();
-        self.beams.extend(sweep.beams());
         self.along = (tolerance.along as f32 * UNITS_PER_M) as i16;
         self.load_ranges(&sweep.scan.ranges, far as f32);
         self.load_crossings(tolerance);
@@ -237,7 +240,8 @@ impl View {
         let lateral = half_cell + tolerance.across as f32 * per_rad;
         let heading = tolerance.heading as f32 * per_rad;
         self.nearer = [0; BANDS];
-        self.crossings.clear();
+        // All are written anew.
+        self.crossings.resize(BANDS * self.count, Crossing::default());
         let (mut wide, mut farther) =
             ((lateral / f32::from(FARTHEST) * UNITS_PER_M + heading + 0.5) as usize, 0.0);
         for band in 0..BANDS {
@@ -248,19 +252,17 @@ impl View {
             // Half as many in the middle of the band as at both of its ends together.
             let narrow = (half_cell / nearest + farther) / 2.0;
             farther = half_cell / nearest;
-            self.load_band(Band { narrow: (narrow as usize).min(wide), wide });
+            self.load_band(band, Band { narrow: (narrow as usize).min(wide), wide });
             if is_last {
                 return;
             }
             self.nearer[band] = (nearest * UNITS_PER_M).min(f32::from(FARTHEST)) as i16;
-            wide += (wide / 3).max(1);
+            wide += (wide / 2).max(1);
         }
     }
 
     #[inline(always)]
-    fn load_band(&mut self, band: Band) {
-        let from = self.crossings.len();
-        self.crossings.resize(from + self.count, Crossing::default());
+    fn load_band(&mut self, number: usize, band: Band) {
         // The two tabulated windows that cover the beams within `half` of each one.
         let windows = |half: usize| {
             let beams = 2 * half + 1;
@@ -275,7 +277,8 @@ impl View {
         let (clear_a, clear_b) = (&self.clear[level][a.clone()], &self.clear[level][b.clone()]);
         let (empty_a, empty_b) = (&self.empty[level][a], &self.empty[level][b]);
         let own = &self.clear[0][PAD..PAD + self.count];
-        for (beam, crossing) in self.crossings[from..].iter_mut().enumerate() {
+        let crossings = &mut self.crossings[number * self.count..][..self.count];
+        for (beam, crossing) in crossings.iter_mut().enumerate() {
             let clear = clear_a[beam].min(clear_b[beam]);
             let empty = empty_a[beam].min(empty_b[beam]);
             *crossing = Crossing {
@@ -287,21 +290,20 @@ impl View {
         }
     }
 
-    /// Origin (m) and direction (unit vector) of every beam in the map's frame, in the scan's order.
-    pub fn beams(&self) -> &[(Point2<f64>, Vector2<f64>)] {
-        &self.beams
-    }
-
-    /// How far each beam and both beside it are known to be free (m); `silent`, where they returned nothing. A
+    /// How far each beam and both beside it are known to be free (m), less `margin`; `silent`, where they returned nothing. A
     /// beam that alone goes far is a random reading, or slipped through where nothing else can.
-    pub fn free_ranges(&self, silent: f32) -> impl Iterator<Item = f32> {
-        let (clear, empty) = (&self.clear[0][PAD..][..self.count], &self.empty[0][PAD..][..self.count]);
-        let free = move |beam: usize| {
-            if clear[beam] < empty[beam] { silent } else { f32::from(clear[beam]) / UNITS_PER_M }
-        };
-        let last = self.count.saturating_sub(1);
-        (0..self.count)
-            .map(move |beam| free(beam.saturating_sub(1)).min(free(beam)).min(free((beam + 1).min(last))))
+    #[inline(always)]
+    pub fn free_ranges(&self, silent: f32, margin: f32, free: &mut Vec<f32>) {
+        let silent = (silent * UNITS_PER_M) as i16;
+        let beams = PAD - 1..PAD + self.count + 1;
+        let (clear, empty) = (&self.clear[0][beams.clone()], &self.empty[0][beams]);
+        // Beyond the ends both are FARTHEST.
+        let of = |beam: usize| if clear[beam] < empty[beam] { silent } else { clear[beam] };
+        free.resize(self.count, 0.0);
+        for (beam, free) in free.iter_mut().enumerate() {
+            let least = of(beam).min(of(beam + 1)).min(of(beam + 2));
+            *free = greater(f32::from(least) / UNITS_PER_M - margin, 0.0);
+        }
     }
 
     /// Where the sensor was in the middle of the scan (m).

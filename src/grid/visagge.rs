@@ -4,10 +4,11 @@
 //! are shown as occupied is decided in [`super::verdict`].
 
 use super::{
-    angle::{Angle, units},
+    angle::{Angle, atan2, units},
     cell::{Cell, Rule},
     free::Outline,
     lanes::{self, Path, Sights},
+    rays::Rays,
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
     track::{Block, LANES, Look, Track, distance_units},
@@ -233,9 +234,9 @@ fn corner(place: TileIndex, view: &View, resolution: f64) -> [f32; 2] {
 }
 
 /// Rounded down; without SSE4.1, `floor` is a call.
-fn floor(number: f64) -> i32 {
+fn floor(number: f32) -> i32 {
     let whole = number as i32;
-    whole.saturating_sub(i32::from(f64::from(whole) > number))
+    whole.saturating_sub(i32::from(whole as f32 > number))
 }
 
 /// One tile of the grid.
@@ -262,6 +263,10 @@ pub struct Visagge {
     pub(super) as_in_the_paper: bool,
     tolerance: Tolerance,
     view: View,
+    rays: Rays,
+    /// A distance and a point for each beam.
+    distances: Vec<f32>,
+    points: [Vec<f32>; 2],
     outline: Outline,
     /// Of the tile in work.
     sights: Box<[Sights; (SIDE * SIDE) as usize / LANES]>,
@@ -285,6 +290,9 @@ impl Visagge {
             tiles: Tiles::default(),
             as_in_the_paper: false,
             view: View::default(),
+            rays: Rays::default(),
+            distances: Vec::new(),
+            points: Default::default(),
             outline: Outline::default(),
             sights: Box::new([Sights::default(); (SIDE * SIDE) as usize / LANES]),
             scan: 0,
@@ -348,36 +356,46 @@ impl Visagge {
             self.way += (middle[0] - before[0]).hypot(middle[1] - before[1]) as f32;
         }
         self.middle = Some(middle);
+        self.rays.load(sweep, self.resolution);
         self.view.load(sweep, self.settings.range_max, &self.tolerance);
     }
 
     /// Core step 1: where a return lands, the cell is more likely to be occupied.
     #[inline(always)]
     fn record_hits(&mut self, sweep: &Sweep, rule: &Rule) {
-        let Visagge { tiles, view, .. } = self;
-        let per_cell = 1.0 / self.resolution;
+        let Visagge { tiles, rays, distances, points, .. } = self;
+        let far = self.settings.range_max as f32;
+        distances.clear();
+        distances.extend(
+            sweep.scan.ranges.iter().map(|&range| if range > 0.0 && range <= far { range } else { 0.0 }),
+        );
+        rays.points(distances, points);
+        let base = rays.base();
         let mut recent = (TileIndex { x: i32::MAX, y: i32::MAX }, 0);
-        for (&(origin, direction), &range) in view.beams().iter().zip(&sweep.scan.ranges) {
-            if !(range > 0.0 && f64::from(range) <= self.settings.range_max) {
+        for (beam, ((&x, &y), &range)) in points[0].iter().zip(&points[1]).zip(&*distances).enumerate() {
+            if range == 0.0 {
                 continue;
             }
-            let point = (origin + direction * f64::from(range)) * per_cell;
-            let index = CellIndex { x: floor(point.x), y: floor(point.y) };
+            let [left, below] = [x, y].map(floor);
+            let index = CellIndex { x: left, y: below };
             let (place, column, row) = index.split();
             if recent.0 != place {
-                recent = (place, tiles.find_or_make(place));
+                recent = (place, tiles.find_or_make(TileIndex { x: base.x + place.x, y: base.y + place.y }));
             }
             let tile = tiles.at_mut(recent.1);
             let crossed = tile.free[row] >> column & 1 == 1;
             let evidence = tile.evidence.get_or_insert_default();
-            let at = [(point.x - f64::from(index.x)) as f32, (point.y - f64::from(index.y)) as f32];
             let place = [column as u8, row as u8];
             let cell = evidence.hit(place, |at| {
-                let angle = Angle::from_rad((-direction.y).atan2(-direction.x));
-                let look = Look { angle, range: distance_units(range).max(1), way: self.way };
+                let [x, y] = rays.direction(beam);
+                let look = Look {
+                    angle: Angle::from_bearing(atan2(-y, -x)),
+                    range: distance_units(range).max(1),
+                    way: self.way,
+                };
                 (Cell::new(place, crossed), Track::new(at, &look))
             });
-            cell.record_hit(at, self.scan, self.time, rule);
+            cell.record_hit([x - left as f32, y - below as f32], self.scan, self.time, rule);
         }
     }
 
@@ -417,29 +435,14 @@ impl Visagge {
     /// Marks the area that the scan has swept, up to just before its returns.
     #[inline(always)]
     fn record_free(&mut self) {
-        let [x, y] = self.view.middle();
-        let (base, ..) = CellIndex::of(x, y, self.resolution).split();
-        let corner = base.cell(0, 0);
-        let per_cell = 1.0 / self.resolution;
-        let local = |point: nalgebra::Point2<f64>| {
-            (
-                (point.x * per_cell - f64::from(corner.x)) as f32,
-                (point.y * per_cell - f64::from(corner.y)) as f32,
-            )
-        };
-        self.outline.clear();
-        let silent = self.settings.no_return_range as f32;
-        for (&(origin, direction), clear) in self.view.beams().iter().zip(self.view.free_ranges(silent)) {
-            let free = (f64::from(clear) - self.tolerance.along).max(0.0);
-            let (x, y) = local(origin + direction * free);
-            self.outline.push(x, y);
-        }
-        let ends = [self.view.beams().last(), self.view.beams().first()];
-        for (x, y) in ends.into_iter().flatten().map(|&(origin, _)| local(origin)) {
-            self.outline.push(x, y);
-        }
-        let tiles = &mut self.tiles;
-        self.outline.fill(|x, y, inside| {
+        let Visagge { tiles, view, rays, distances, outline, .. } = self;
+        view.free_ranges(self.settings.no_return_range as f32, self.tolerance.along as f32, distances);
+        rays.points(distances, outline.begin());
+        let [first, last] = rays.first_and_last(distances.len());
+        outline.push(last[0], last[1]);
+        outline.push(first[0], first[1]);
+        let base = rays.base();
+        outline.fill(|x, y, inside| {
             let number = tiles.find_or_make(TileIndex { x: base.x + x, y: base.y + y });
             for (free, inside) in tiles.at_mut(number).free.iter_mut().zip(inside) {
                 *free |= inside;
@@ -458,7 +461,7 @@ impl Visagge {
         let within = |place: TileIndex, cell: &Cell| {
             let index = cell.index(place);
             let at = |index: i32| (f64::from(index) + 0.5) * resolution;
-            (at(index.x) - x).hypot(at(index.y) - y) <= radius
+            (at(index.x) - x).powi(2) + (at(index.y) - y).powi(2) <= radius * radius
         };
         let (low, _, _) = low.split();
         let (high, _, _) = high.split();
