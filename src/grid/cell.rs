@@ -118,11 +118,11 @@ impl Cell {
             self.hit_time[0] = time;
         }
         self.hit_time[1] = time;
-        if self.hit_scan != scan {
-            self.hit_scan = scan;
-            self.occupancy = (self.occupancy + 1).min(rule.cap);
-            self.hits = self.hits.saturating_add(1);
-        }
+        // Without a branch: it would be guessed wrong every other time.
+        let is_first = self.hit_scan != scan;
+        self.hit_scan = scan;
+        self.occupancy = (self.occupancy + u8::from(is_first)).min(rule.cap);
+        self.hits = self.hits.saturating_add(u16::from(is_first));
         let weight = 1.0 / f32::from(self.hits.min(255));
         for (mean, at) in self.centroid.iter_mut().zip(at) {
             *mean += (at - *mean) * weight;

@@ -4,6 +4,7 @@
 //! one kind lie side by side, so that several beams are worked out at a time.
 
 use super::{
+    angle::atan2,
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex},
 };
@@ -72,9 +73,9 @@ impl Rays {
         self.base
     }
 
-    /// Where a beam points (cells a metre).
-    pub fn direction(&self, beam: usize) -> [f32; 2] {
-        [self.direction[0][beam], self.direction[1][beam]]
+    /// Bearing of a beam (rad).
+    pub fn bearing(&self, beam: usize) -> f32 {
+        atan2(self.direction[1][beam], self.direction[0][beam])
     }
 
     /// Where the first and the last beam started (cells).

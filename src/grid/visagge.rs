@@ -4,7 +4,7 @@
 //! are shown as occupied is decided in [`super::verdict`].
 
 use super::{
-    angle::{Angle, atan2, units},
+    angle::{Angle, units},
     cell::{Cell, Rule},
     free::Outline,
     lanes::{self, Path, Sights},
@@ -127,22 +127,24 @@ impl Default for Evidence {
 }
 
 impl Evidence {
-    /// The cell at this place, made where it was missing, and marked as hit.
-    #[inline(always)]
-    fn hit(&mut self, place: [u8; 2], make: impl FnOnce(Place) -> (Cell, Track)) -> &mut Cell {
-        let at = slot(place);
-        let mut number = usize::from(self.slots[at]);
-        if number == usize::from(NONE) {
-            number = self.cells.len();
-            self.slots[at] = number as u16;
-            let (cell, track) = make(at as Place);
-            self.cells.push(cell);
-            self.judgements.push(Judgement::default());
-            if number.is_multiple_of(LANES) {
-                self.blocks.push(Block::default());
-            }
-            self.blocks[number / LANES].set(number % LANES, track);
+    /// Puts a cell in where there was none, and gives its number.
+    #[cold]
+    #[inline(never)]
+    fn add(&mut self, cell: Cell, track: Track) -> usize {
+        let number = self.cells.len();
+        self.slots[slot(cell.place)] = number as u16;
+        self.cells.push(cell);
+        self.judgements.push(Judgement::default());
+        if number.is_multiple_of(LANES) {
+            self.blocks.push(Block::default());
         }
+        self.blocks[number / LANES].set(number % LANES, track);
+        number
+    }
+
+    /// Marks the cell with this number as hit.
+    #[inline(always)]
+    fn hit(&mut self, number: usize) -> &mut Cell {
         self.blocks[number / LANES].place[number % LANES] |= HIT;
         &mut self.cells[number]
     }
@@ -383,18 +385,17 @@ impl Visagge {
                 recent = (place, tiles.find_or_make(TileIndex { x: base.x + place.x, y: base.y + place.y }));
             }
             let tile = tiles.at_mut(recent.1);
-            let crossed = tile.free[row] >> column & 1 == 1;
             let evidence = tile.evidence.get_or_insert_default();
-            let place = [column as u8, row as u8];
-            let cell = evidence.hit(place, |at| {
-                let [x, y] = rays.direction(beam);
-                let look = Look {
-                    angle: Angle::from_bearing(atan2(-y, -x)),
-                    range: distance_units(range).max(1),
-                    way: self.way,
-                };
-                (Cell::new(place, crossed), Track::new(at, &look))
-            });
+            let at = row * SIDE as usize + column;
+            let mut number = usize::from(evidence.slots[at]);
+            if number == usize::from(NONE) {
+                let angle = Angle::from_bearing(rays.bearing(beam) + std::f32::consts::PI);
+                let look = Look { angle, range: distance_units(range).max(1), way: self.way };
+                let was_crossed = tile.free[row] >> column & 1 == 1;
+                let cell = Cell::new([column as u8, row as u8], was_crossed);
+                number = evidence.add(cell, Track::new(at as Place, &look));
+            }
+            let cell = evidence.hit(number);
             cell.record_hit([x - left as f32, y - below as f32], self.scan, self.time, rule);
         }
     }
