@@ -94,13 +94,15 @@ impl Outline {
             let step = (slope * ONE) as i64;
             // Rounded up, as all rows and columns are.
             let mut at = ((crossing * ONE) as i64).saturating_add(ONE as i64 - 1);
+            // Rounding may leave the area by a cell.
+            at = at.wrapping_sub(i64::from(left) << 32);
+            let most = (i64::from(columns) << 32) - 1;
             for row in rows {
-                // Rounding may leave the area by a cell.
-                let column = ((at >> 32) as i32).wrapping_sub(left).clamp(0, columns - 1);
+                let column = (at.clamp(0, most) >> 32) as i32;
                 at = at.wrapping_add(step);
                 let tile = (row >> 6) * area.width as i32 - first + (column >> 6);
-                if let Some(rows) = self.toggles.get_mut(tile as usize) {
-                    rows[(row & 63) as usize] ^= 1 << (column & 63);
+                if let Some(row) = self.toggles.as_flattened_mut().get_mut((tile << 6 | row & 63) as usize) {
+                    *row ^= 1 << (column & 63);
                 }
             }
         }

@@ -4,6 +4,7 @@ pub mod angle;
 pub mod cell;
 pub mod free;
 mod lanes;
+pub mod near;
 pub mod ray;
 pub mod rays;
 mod reflection;

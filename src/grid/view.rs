@@ -5,8 +5,9 @@
 //! and a cell is compared with a single entry of one of them.
 
 use super::{
-    angle::{Angle, atan, atan2, in_circle, nearest, whole},
+    angle::{Angle, atan, in_circle, nearest, whole},
     sweep::Sweep,
+    tiles::{SIDE, TileIndex},
     track::UNITS_PER_M,
 };
 
@@ -108,7 +109,7 @@ impl Lens {
 
     /// A bearing in beams.
     #[inline(always)]
-    fn beam(&self, bearing: f32) -> f32 {
+    pub fn beam(&self, bearing: f32) -> f32 {
         let beam = (bearing - self.first_bearing) * self.beams_per_rad;
         // The whole turns since the cut, rounded down.
         beam - nearest((beam - self.cut) * self.per_turn - 0.5) * self.turn
@@ -173,6 +174,9 @@ pub struct View {
     pub(super) crossings: Vec<Crossing>,
     /// Cells nearer than this belong to the next band, or to one beyond ([`UNITS_PER_M`]).
     pub(super) nearer: [i16; BANDS],
+    bands: [Band; BANDS],
+    /// How many of the bands have their crossings: they are worked out when something stands near enough.
+    known: usize,
     pub(super) along: i16,
     farthest: f32,
 }
@@ -198,7 +202,7 @@ impl View {
         };
         self.along = (tolerance.along as f32 * UNITS_PER_M) as i16;
         self.load_ranges(&sweep.scan.ranges, far as f32);
-        self.load_crossings(tolerance);
+        self.load_bands(tolerance);
     }
 
     #[inline(always)]
@@ -232,15 +236,16 @@ impl View {
         double(&mut self.reach, i16::max);
     }
 
-    /// The bands, and what crosses the cells in each.
+    /// The bands.
     #[inline(always)]
-    fn load_crossings(&mut self, tolerance: &Tolerance) {
+    fn load_bands(&mut self, tolerance: &Tolerance) {
         let per_rad = self.lens.beams_per_rad.abs();
         let half_cell = tolerance.resolution as f32 / 2.0 * per_rad;
         let lateral = half_cell + tolerance.across as f32 * per_rad;
         let heading = tolerance.heading as f32 * per_rad;
         self.nearer = [0; BANDS];
-        // All are written anew.
+        self.known = 0;
+        // Those of each band that is known are written anew.
         self.crossings.resize(BANDS * self.count, Crossing::default());
         let (mut wide, mut farther) =
             ((lateral / f32::from(FARTHEST) * UNITS_PER_M + heading + 0.5) as usize, 0.0);
@@ -252,12 +257,23 @@ impl View {
             // Half as many in the middle of the band as at both of its ends together.
             let narrow = (half_cell / nearest + farther) / 2.0;
             farther = half_cell / nearest;
-            self.load_band(band, Band { narrow: (narrow as usize).min(wide), wide });
+            self.bands[band] = Band { narrow: (narrow as usize).min(wide), wide };
             if is_last {
                 return;
             }
             self.nearer[band] = (nearest * UNITS_PER_M).min(f32::from(FARTHEST)) as i16;
             wide += (wide / 2).max(1);
+        }
+    }
+
+    /// Has at hand what cells from this distance on (m) are compared with.
+    #[inline(always)]
+    pub(super) fn prepare(&mut self, distance: f32) {
+        let units = (distance * UNITS_PER_M - 1.0).max(0.0) as i16;
+        let band = self.nearer.iter().take_while(|&&nearer| nearer > units).count();
+        while self.known <= band {
+            self.load_band(self.known, self.bands[self.known]);
+            self.known += 1;
         }
     }
 
@@ -307,6 +323,7 @@ impl View {
     }
 
     /// Where the sensor was in the middle of the scan (m).
+    #[inline(always)]
     pub fn middle(&self) -> [f64; 2] {
         self.middle
     }
@@ -317,31 +334,33 @@ impl View {
         self.lens.sight(dx, dy)
     }
 
-    /// Whether the scan says nothing of any cell whose centre lies in the disc around (dx, dy) from [`View::middle`] (m).
+    /// How far the sensor moved in the scan (m).
+    pub fn moved(&self) -> f32 {
+        self.moved as f32
+    }
+
+    /// The longest distance of which the scan says something (m).
+    pub fn farthest(&self) -> f32 {
+        self.farthest
+    }
+
+    /// The middle of a tile's first cell, seen from [`View::middle`] (m). Taken anew for each scan, so that `f32` is exact
+    /// enough however far the map reaches.
     #[inline(always)]
-    pub fn is_out_of_reach(&self, dx: f32, dy: f32, radius: f32, tolerance: &Tolerance) -> bool {
-        let (along, moved) = (tolerance.along as f32, self.moved as f32);
-        let square = dx * dx + dy * dy;
-        let beyond = self.farthest + along + radius + moved + HAIR;
-        if square > beyond * beyond {
-            return true;
-        }
-        let distance = square.sqrt();
-        let nearest = distance - radius - moved - HAIR;
-        if nearest <= radius {
-            return false;
-        }
-        // The disc's width, from above, and margins for the motion within the scan and for the heading.
-        let sine = radius / distance;
-        let half = sine + 0.571 * sine * sine * sine + moved / nearest + tolerance.heading as f32 + 0.02;
-        let half = half * self.lens.beams_per_rad.abs();
-        let beam = self.lens.beam(atan2(dy, dx));
+    pub fn corner(&self, place: TileIndex, resolution: f64) -> [f32; 2] {
+        let at = |index: i32| (f64::from(index) * f64::from(SIDE) + 0.5) * resolution;
+        [(at(place.x) - self.middle[0]) as f32, (at(place.y) - self.middle[1]) as f32]
+    }
+
+    /// Whether the beams within `half` beams of a bearing (in beams) say something of what is as far as this (m).
+    #[inline(always)]
+    pub(super) fn reaches(&self, beam: f32, half: f32, distance: f32) -> bool {
         if beam > -0.5 && beam < self.lens.last + 0.5 {
-            return self.reach_between(beam, half) + along < nearest;
+            return self.reach_between(beam, half) >= distance;
         }
         // The gap between the last beam and the first one after a turn.
         let beam = if beam < 0.0 { beam + self.lens.turn } else { beam };
-        beam - half > self.lens.last + 1.0 && beam + half < self.lens.turn - 1.0
+        beam - half <= self.lens.last + 1.0 || beam + half >= self.lens.turn - 1.0
     }
 
     /// What the scan says of the cell with this sight (paper IV-B; the margins are in [`Tolerance`]). [`super::lanes`] does the same.
@@ -382,7 +401,7 @@ impl View {
 }
 
 /// Whatever differs by less is the same distance (m): units and rounding errors are below.
-const HAIR: f32 = 0.004;
+pub(super) const HAIR: f32 = 0.004;
 
 /// `f32::min` of numbers that are numbers, in one instruction.
 #[inline(always)]
@@ -430,6 +449,7 @@ mod tests {
             30.0,
             &TOLERANCE,
         );
+        view.prepare(0.0);
         view
     }
 

@@ -8,6 +8,7 @@ use super::{
     cell::{Cell, Rule},
     free::Outline,
     lanes::{self, Path, Sights},
+    near::Near,
     rays::Rays,
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
@@ -227,14 +228,6 @@ pub(super) struct Glance<'a> {
     pub follows: bool,
 }
 
-/// The middle of a tile's first cell, seen from the sensor in the middle of the scan (m). Taken anew for each
-/// scan, so that `f32` is exact enough however far the map reaches.
-fn corner(place: TileIndex, view: &View, resolution: f64) -> [f32; 2] {
-    let [x, y] = view.middle();
-    let at = |index: i32| (f64::from(index) * f64::from(SIDE) + 0.5) * resolution;
-    [(at(place.x) - x) as f32, (at(place.y) - y) as f32]
-}
-
 /// Rounded down; without SSE4.1, `floor` is a call.
 fn floor(number: f32) -> i32 {
     let whole = number as i32;
@@ -270,6 +263,7 @@ pub struct Visagge {
     distances: Vec<f32>,
     points: [Vec<f32>; 2],
     outline: Outline,
+    near: Near,
     /// Of the tile in work.
     sights: Box<[Sights; (SIDE * SIDE) as usize / LANES]>,
     /// Number of the last scan: one more for the next, two more where scans were lost in between.
@@ -296,6 +290,7 @@ impl Visagge {
             distances: Vec::new(),
             points: Default::default(),
             outline: Outline::default(),
+            near: Near::default(),
             sights: Box::new([Sights::default(); (SIDE * SIDE) as usize / LANES]),
             scan: 0,
             seq: None,
@@ -403,15 +398,13 @@ impl Visagge {
     /// Core steps 2 to 5 for every cell with evidence that the scan may say something of.
     #[inline(always)]
     fn record_observations<P: Path>(&mut self, rule: &Rule) {
-        let Visagge { tiles, view, tolerance, sights, .. } = self;
-        let half_tile = (f64::from(SIDE - 1) * self.resolution / 2.0) as f32;
-        let radius = half_tile * std::f32::consts::SQRT_2;
-        for number in 0..tiles.len() {
-            let corner = corner(tiles.place(number), view, self.resolution);
-            if view.is_out_of_reach(corner[0] + half_tile, corner[1] + half_tile, radius, tolerance) {
-                continue;
-            }
+        let Visagge { tiles, view, tolerance, near, sights, .. } = self;
+        let side = (f64::from(SIDE - 1) * self.resolution) as f32;
+        near.find(tiles.places(), view, tolerance, side);
+        for (number, nearest) in near.tiles() {
+            let corner = view.corner(tiles.place(number), self.resolution);
             let Some(evidence) = &mut tiles.at_mut(number).evidence else { continue };
+            view.prepare(nearest);
             let follows = self.scan - evidence.looked_scan <= 1;
             evidence.looked_scan = self.scan;
             let glance =
@@ -518,8 +511,9 @@ mod tests {
             self.begin(sweep);
             let rule = self.rule(sweep);
             self.record_hits(sweep, &rule);
+            self.view.prepare(0.0);
             for number in 0..self.tiles.len() {
-                let corner = corner(self.tiles.place(number), &self.view, self.resolution);
+                let corner = self.view.corner(self.tiles.place(number), self.resolution);
                 let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
                 for number in 0..evidence.cells.len() {
                     let mut track = evidence.track(number);
