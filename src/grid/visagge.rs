@@ -134,6 +134,13 @@ impl Evidence {
     fn add(&mut self, cell: Cell, track: Track) -> usize {
         let number = self.cells.len();
         self.slots[slot(cell.place)] = number as u16;
+        if number.is_multiple_of(LANES) && number == self.cells.capacity() {
+            // By a quarter, in whole blocks: twice as much would be half empty.
+            let blocks = (number / LANES).div_ceil(4).max(1);
+            self.cells.reserve_exact(LANES * blocks);
+            self.judgements.reserve_exact(LANES * blocks);
+            self.blocks.reserve_exact(blocks);
+        }
         self.cells.push(cell);
         self.judgements.push(Judgement::default());
         if number.is_multiple_of(LANES) {
