@@ -6,6 +6,7 @@
 //! itself, in CPU time of the thread; the rounds alternate between the contestants, and each scan counts with its fastest round.
 //!
 //! `cargo bench --bench insert -- WORLD` does that for one world; `-- WORLD visagge` runs one contestant, once: for a profiler.
+//! `-- WORLD hours` drives through it for eight hours, as fast as it can, and tells each hour what memory the process holds.
 
 #[expect(dead_code, reason = "the truth is for the marks")]
 #[path = "../tools/eval/src/drive.rs"]
@@ -41,6 +42,7 @@ const MAP_EVERY: usize = 200;
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
     match arguments.as_slice() {
+        [world, who] if who == "hours" => hours(world),
         [world, who] => {
             let laid = laid(world);
             let times = contestant(who).expect("raywalk, visagge, portable, maps or standard")(&laid);
@@ -116,6 +118,29 @@ fn timed(laid: &[Laid], mut insert: impl FnMut(usize, &Sweep)) -> Vec<f64> {
         cpu_us() - before
     };
     laid.iter().enumerate().map(time).collect()
+}
+
+/// Eight hours of scans at 40 Hz, lap after lap, with a map each half minute as in the daemon.
+fn hours(world: &str) {
+    const HOUR: usize = 3600 * 40;
+    let laid = laid(world);
+    let mut grid = Visagge::new(RESOLUTION, VisaggeSettings::default());
+    for (number, (scan, start, end)) in laid.iter().cycle().take(8 * HOUR + 1).enumerate() {
+        if number % HOUR == 0 {
+            let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+            let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap_or("?").trim();
+            println!(
+                "{world}, {} h: {resident} resident, map {:.2} MB",
+                number / HOUR,
+                grid.bytes() as f64 / 1e6
+            );
+        }
+        let scan = Scan { seq: number as u64, stamp_ns: number as i64 * 25_000_000, ..scan.clone() };
+        grid.insert(&Sweep { scan: &scan, start: *start, end: *end });
+        if number % 1200 == 1199 {
+            black_box(grid.map());
+        }
+    }
 }
 
 fn compare(world: &str) {

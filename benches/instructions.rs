@@ -27,11 +27,12 @@ const KEPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/instructions.tx
 const SCANS: usize = 400;
 const BEAMS: usize = 1081;
 
+type Insert = fn(&mut Visagge, &Sweep);
+
 /// What is counted, and how a scan is inserted then.
-const PATHS: [(&str, fn(&mut Visagge, &Sweep)); 2] =
-    [("widest", Visagge::insert), ("portable", Visagge::insert_portably)];
+const PATHS: [(&str, Insert); 2] = [("widest", Visagge::insert), ("portable", Visagge::insert_portably)];
 /// The drive alone.
-const NOTHING: (&str, fn(&mut Visagge, &Sweep)) = ("nothing", |_, _| ());
+const NOTHING: (&str, Insert) = ("nothing", |_, _| ());
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
@@ -111,7 +112,7 @@ fn total(file: &Path) -> Result<u64> {
     Ok(total.context("callgrind gives no total")?.trim().parse()?)
 }
 
-fn drive(insert: fn(&mut Visagge, &Sweep)) {
+fn drive(insert: Insert) {
     let mut grid = Visagge::new(0.05, VisaggeSettings::default());
     for number in 0..SCANS {
         let (start, end) = (place(number as f64), place(number as f64 + 0.75));

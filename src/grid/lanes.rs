@@ -41,8 +41,10 @@ pub(super) struct Sights {
 
 /// Inserts one scan.
 pub(super) fn insert(grid: &mut Visagge, sweep: &Sweep) {
+    // Beams are numbered in 15 bits there.
     #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2")
+    if sweep.len() <= i16::MAX as usize
+        && is_x86_feature_detected!("avx2")
         && is_x86_feature_detected!("bmi2")
         && is_x86_feature_detected!("lzcnt")
     {
@@ -219,8 +221,8 @@ mod avx2 {
             _mm256_madd_epi16(_mm256_unpackhi_epi16(beam, band), stride),
         ];
         let crossings = view.crossings.as_ptr().cast::<i32>();
-        // SAFETY: a beam is less than `count` and a band at most the number of those in `nearer`; `crossings` has an
-        // entry, of eight bytes, for each beam in each of one band more.
+        // SAFETY: a beam is less than `count`, which `insert` has limited to 15 bits; a band is less than `BANDS`, since the last
+        // of `nearer` is 0; `crossings` has an entry, of eight bytes, for each beam in each band.
         let near = entries.map(|entry| unsafe { _mm256_i32gather_epi32::<8>(crossings, entry) });
         // SAFETY: as before, the second half of each entry.
         let far = entries.map(|entry| unsafe { _mm256_i32gather_epi32::<8>(crossings.add(1), entry) });

@@ -217,7 +217,7 @@ impl Track {
 
 fn would_return(ends: [u16; 2], range: u16) -> bool {
     let least = ends[0].min(ends[1]);
-    range <= least.saturating_add((u32::from(least) * TENTH >> 16) as u16)
+    range <= least.saturating_add(((u32::from(least) * TENTH) >> 16) as u16)
 }
 
 /// A tenth of 2^16, rounded up.
