@@ -220,14 +220,20 @@ mod avx2 {
             _mm256_madd_epi16(_mm256_unpacklo_epi16(beam, band), stride),
             _mm256_madd_epi16(_mm256_unpackhi_epi16(beam, band), stride),
         ];
-        let crossings = view.crossings.as_ptr().cast::<i32>();
+        let mut numbers = [[0u32; LANES / 2]; 2];
+        for (numbers, entries) in numbers.iter_mut().zip(entries) {
+            // SAFETY: 32 bytes are there, and any alignment will do.
+            unsafe { _mm256_storeu_si256(numbers.as_mut_ptr().cast(), entries) };
+        }
+        let crossings = view.crossings.as_ptr().cast::<i64>();
         // SAFETY: a beam is less than `count`, which `insert` has limited to 15 bits; a band is less than `BANDS`, since the last
-        // of `nearer` is 0; `crossings` has an entry, of eight bytes, for each beam in each band.
-        let near = entries.map(|entry| unsafe { _mm256_i32gather_epi32::<8>(crossings, entry) });
-        // SAFETY: as before, the second half of each entry.
-        let far = entries.map(|entry| unsafe { _mm256_i32gather_epi32::<8>(crossings.add(1), entry) });
-        let (returned, low) = halves(near);
-        let (high, empty) = halves(far);
+        // of `nearer` is 0; `crossings` has an entry, of eight bytes, aligned to them, for each beam in each band.
+        let entry = |half: usize, n: usize| unsafe { crossings.add(numbers[half][n] as usize).read() };
+        // Unpacking has split the cells: 0..4 and 8..12, then 4..8 and 12..16.
+        let pairs = |half: usize, n: usize| {
+            _mm256_set_epi64x(entry(half, n + 5), entry(half, n + 4), entry(half, n + 1), entry(half, n))
+        };
+        let [returned, low, high, empty] = turned([pairs(0, 0), pairs(0, 2), pairs(1, 0), pairs(1, 2)]);
 
         // What the scan says of each cell.
         let along = words(view.along as u16);
@@ -518,13 +524,21 @@ mod avx2 {
         _mm256_sub_epi32(_mm256_castps_si256(_mm256_add_ps(number, rounder)), _mm256_castps_si256(rounder))
     }
 
-    /// The lower and the upper halves of sixteen numbers of 32 bits, in the order of the cells.
+    /// From four numbers of each of sixteen cells, two cells to a half of a register, sixteen of each of the four.
     #[target_feature(enable = "avx2")]
     #[inline]
-    fn halves([first, second]: [__m256i; 2]) -> (Words, Words) {
-        let lower = |pairs| _mm256_srai_epi32::<16>(_mm256_slli_epi32::<16>(pairs));
-        let upper = |pairs| _mm256_srai_epi32::<16>(pairs);
-        (_mm256_packs_epi32(lower(first), lower(second)), _mm256_packs_epi32(upper(first), upper(second)))
+    fn turned(pairs: [__m256i; 4]) -> [Words; 4] {
+        let quads = [[pairs[0], pairs[1]], [pairs[2], pairs[3]]].map(|[a, b]| {
+            let (even, odd) = (_mm256_unpacklo_epi16(a, b), _mm256_unpackhi_epi16(a, b));
+            [_mm256_unpacklo_epi16(even, odd), _mm256_unpackhi_epi16(even, odd)]
+        });
+        let [[a, c], [b, d]] = quads;
+        [
+            _mm256_unpacklo_epi64(a, b),
+            _mm256_unpackhi_epi64(a, b),
+            _mm256_unpacklo_epi64(c, d),
+            _mm256_unpackhi_epi64(c, d),
+        ]
     }
 
     #[target_feature(enable = "avx2")]
