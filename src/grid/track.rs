@@ -6,7 +6,7 @@
 //! [`super::lanes`] does the same for a block.
 
 use super::{
-    angle::{Angle, AngleRange},
+    angle::{Angle, AngleRange, whole},
     cell::{Rule, Visible},
     view::{HIT, Observation, Place},
 };
@@ -19,7 +19,7 @@ pub const LANES: usize = 16;
 
 /// Distance in units (m), rounded; at most 64 m.
 pub fn distance_units(metres: f32) -> u16 {
-    (metres * UNITS_PER_M).round().clamp(0.0, f32::from(i16::MAX)) as u16
+    whole((metres * UNITS_PER_M).clamp(0.0, f32::from(i16::MAX))) as u16
 }
 
 /// Where a cell is looked at from.
