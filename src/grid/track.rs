@@ -3,7 +3,7 @@
 //!
 //! This is all of a cell that most scans touch, so it is kept apart, sixteen cells side by side in a [`Block`], in whole
 //! numbers of 16 bits: binary angles, and distances in [`UNITS_PER_M`]. [`Track::record`] is the rule, for one cell;
-//! [`super::lanes`] does the same for a block.
+//! `lanes` does the same for a block.
 
 use super::{
     angle::{Angle, AngleRange, whole},

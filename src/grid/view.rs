@@ -78,7 +78,7 @@ pub(super) struct Lens {
 }
 
 impl Lens {
-    /// What stands at (dx, dy) from the sensor's place in the middle of the scan (m). [`super::lanes`] does the same, in the same
+    /// What stands at (dx, dy) from the sensor's place in the middle of the scan (m). `lanes` does the same, in the same
     /// steps.
     #[inline(always)]
     pub fn sight(&self, dx: f32, dy: f32) -> Sight {
@@ -363,7 +363,7 @@ impl View {
         beam - half <= self.lens.last + 1.0 || beam + half >= self.lens.turn - 1.0
     }
 
-    /// What the scan says of the cell with this sight (paper IV-B; the margins are in [`Tolerance`]). [`super::lanes`] does the same.
+    /// What the scan says of the cell with this sight (paper IV-B; the margins are in [`Tolerance`]). `lanes` does the same.
     ///
     /// `would_return`: from this far, the cell is known to return something.
     #[inline(always)]
