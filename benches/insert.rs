@@ -1,10 +1,12 @@
-//! What inserting a scan costs, beside a bare ray walk over the same scans in the same run.
+//! What inserting a scan costs, beside a bare ray walk over the same scans in the same run, and beside other mappers where
+//! they are installed (tools/peers).
 //!
-//! `cargo bench --bench insert` drives the 20 m hall and the office loop of the simulator. The machine may be noisy: what
-//! counts is the last column, how many times faster than the ray walk. Each scan is measured by itself, in CPU time of
-//! the thread; the rounds alternate between the contestants, and each scan counts with its fastest round.
+//! `cargo bench --bench insert` drives the 20 m hall, the office loop and an office floor of 120 x 60 m in the simulator. The
+//! machine may be noisy: what counts is the last column, how many times faster than the ray walk. Each scan is measured by
+//! itself, in CPU time of the thread; the rounds alternate between the contestants, and each scan counts with its fastest round.
 //!
-//! `cargo bench --bench insert -- WORLD visagge` runs one contestant over one world, once: for a profiler.
+//! `cargo bench --bench insert -- WORLD` does that for one world; `-- WORLD visagge` runs one contestant, once: for a profiler.
+//! `-- WORLD hours` drives through it for eight hours, as fast as it can, and tells each hour what memory the process holds.
 
 #[expect(dead_code, reason = "the truth is for the marks")]
 #[path = "../tools/eval/src/drive.rs"]
@@ -14,7 +16,13 @@ use drive::Drive;
 use nalgebra::Point2;
 use rustix::time::{ClockId, clock_gettime};
 use scipsim::{SimulationOptions, World};
-use std::hint::black_box;
+use std::{
+    fs::File,
+    hint::black_box,
+    io::{BufWriter, Write},
+    path::Path,
+    process::Command,
+};
 use visagged::{
     grid::{
         standard::Standard,
@@ -34,12 +42,14 @@ const MAP_EVERY: usize = 200;
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
     match arguments.as_slice() {
+        [world, who] if who == "hours" => hours(world),
         [world, who] => {
             let laid = laid(world);
             let times = contestant(who).expect("raywalk, visagge, portable, maps or standard")(&laid);
             println!("{world} {who}: {} scans, median {:.1} us", laid.len(), quantile(&times, 0.5));
         }
-        _ => ["hall", "office-loop"].iter().for_each(|world| compare(world)),
+        [world] => compare(world),
+        _ => ["hall", "office-loop", "floor-1"].into_iter().for_each(compare),
     }
 }
 
@@ -48,7 +58,11 @@ type Laid = (Scan, Pose, Pose);
 
 /// The scans of a simulated drive.
 fn laid(world: &str) -> Vec<Laid> {
-    let world = World::load(world).expect("a shipped world");
+    let world = match world.rsplit_once('-').and_then(|(kind, seed)| Some((kind, seed.parse().ok()?))) {
+        Some((kind, seed)) => World::generate(kind, seed),
+        None => World::load(world),
+    }
+    .expect("the name of a world");
     let options = SimulationOptions::default();
     let drive = Drive::new(&world, options, 1);
     let mut poses = PoseBuffer::default();
@@ -81,14 +95,12 @@ fn contestant(name: &str) -> Option<Contestant> {
         },
         "maps" => |laid| {
             let mut grid = Visagge::new(RESOLUTION, VisaggeSettings::default());
-            let due = |number| number % MAP_EVERY == MAP_EVERY - 1;
-            let times = timed(laid, |number, sweep| {
+            timed(laid, |number, sweep| {
                 grid.insert(sweep);
-                if due(number) {
+                if number % MAP_EVERY == MAP_EVERY - 1 {
                     black_box(grid.map());
                 }
-            });
-            times.into_iter().enumerate().filter(|&(number, _)| due(number)).map(|(_, time)| time).collect()
+            })
         },
         "standard" => |laid| {
             let mut grid = Standard::new(RESOLUTION, 30.0);
@@ -106,6 +118,29 @@ fn timed(laid: &[Laid], mut insert: impl FnMut(usize, &Sweep)) -> Vec<f64> {
         cpu_us() - before
     };
     laid.iter().enumerate().map(time).collect()
+}
+
+/// Eight hours of scans at 40 Hz, lap after lap, with a map each half minute as in the daemon.
+fn hours(world: &str) {
+    const HOUR: usize = 3600 * 40;
+    let laid = laid(world);
+    let mut grid = Visagge::new(RESOLUTION, VisaggeSettings::default());
+    for (number, (scan, start, end)) in laid.iter().cycle().take(8 * HOUR + 1).enumerate() {
+        if number % HOUR == 0 {
+            let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+            let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap_or("?").trim();
+            println!(
+                "{world}, {} h: {resident} resident, map {:.2} MB",
+                number / HOUR,
+                grid.bytes() as f64 / 1e6
+            );
+        }
+        let scan = Scan { seq: number as u64, stamp_ns: number as i64 * 25_000_000, ..scan.clone() };
+        grid.insert(&Sweep { scan: &scan, start: *start, end: *end });
+        if number % 1200 == 1199 {
+            black_box(grid.map());
+        }
+    }
 }
 
 fn compare(world: &str) {
@@ -131,17 +166,74 @@ fn compare(world: &str) {
         }
     }
     let walk = quantile(&best[0], 0.5);
-    println!("{world}: {} scans, {} cell visits a scan by ray walk", laid.len(), visits(&laid));
+    let row = |name: &str, times: &[f64]| {
+        let (median, p99, most) = (quantile(times, 0.5), quantile(times, 0.99), quantile(times, 1.0));
+        let mean = times.iter().sum::<f64>() / times.len().max(1) as f64;
+        println!(
+            "{name:34} {median:9.1} {mean:9.1} {p99:9.1} {most:9.1} {:7.2} {:9.2}",
+            p99 / median,
+            walk / median
+        );
+    };
+    let mut grid = Visagge::new(RESOLUTION, VisaggeSettings::default());
+    timed(&laid, |_, sweep| grid.insert(sweep));
     println!(
-        "{:34} {:>9} {:>9} {:>9} {:>9} {:>14}",
-        "", "median us", "p99 us", "max us", "p99/median", "times ray walk"
+        "{world}: {} scans, {} cell visits a scan by ray walk; the map takes {:.2} MB",
+        laid.len(),
+        visits(&laid),
+        grid.bytes() as f64 / 1e6
     );
-    for ((name, ..), times) in rows.iter().zip(&best) {
-        let (median, p99) = (quantile(times, 0.5), quantile(times, 0.99));
-        let most = quantile(times, 1.0);
-        println!("{name:34} {median:9.1} {p99:9.1} {most:9.1} {:10.2} {:14.2}", p99 / median, walk / median);
-    }
+    println!(
+        "{:34} {:>9} {:>9} {:>9} {:>9} {:>7} {:>9}",
+        "us a scan", "median", "mean", "p99", "max", "p99/med", "vs walk"
+    );
+    rows.iter().zip(&best).for_each(|((name, ..), times)| row(name, times));
+    peers(&laid).iter().for_each(|(name, times)| row(name, times));
     println!();
+}
+
+/// Those of the other mappers that could be built: the least time that each scan took (us). OctoMap, which is slow, gets few
+/// scans and one round.
+fn peers(laid: &[Laid]) -> Vec<(&'static str, Vec<f64>)> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let programs = root.join("target/peers");
+    let built = Command::new(root.join("tools/peers/build")).arg(&programs).status();
+    let Ok(file) = tempfile::NamedTempFile::new() else { return Vec::new() };
+    if !built.is_ok_and(|built| built.success()) || write_scans(laid, file.path()).is_err() {
+        return Vec::new();
+    }
+    let run = |(name, program, rounds, scans): (&'static str, &str, usize, usize)| {
+        let mut command = Command::new(programs.join(program));
+        let output = command.arg(file.path()).args([rounds, scans].map(|n| n.to_string())).output().ok()?;
+        let times: Option<Vec<f64>> =
+            String::from_utf8(output.stdout).ok()?.lines().map(|line| line.parse().ok()).collect();
+        Some((name, times.filter(|times| output.status.success() && !times.is_empty())?))
+    };
+    [("MRPT's grid", "mrpt", ROUNDS, usize::MAX), ("OctoMap, its first 300 scans", "octomap", 1, 300)]
+        .into_iter()
+        .filter_map(run)
+        .collect()
+}
+
+/// Writes the scans as tools/peers/scans.hpp reads them: each taken at one place, since none of these knows better.
+fn write_scans(laid: &[Laid], path: &Path) -> std::io::Result<()> {
+    let mut file = BufWriter::new(File::create(path)?);
+    let Some((first, ..)) = laid.first() else { return Ok(()) };
+    file.write_all(&(first.ranges.len() as u32).to_le_bytes())?;
+    for angle in [first.geometry.angle_min, first.geometry.angle_increment] {
+        file.write_all(&(angle as f32).to_le_bytes())?;
+    }
+    for (scan, start, end) in laid {
+        let middle = start.lerp_slerp(end, 0.5);
+        for number in [middle.translation.x, middle.translation.y, middle.rotation.angle()] {
+            file.write_all(&number.to_le_bytes())?;
+        }
+        for range in &scan.ranges {
+            let range = if *range > 0.0 && *range <= 30.0 { *range } else { 0.0 };
+            file.write_all(&range.to_le_bytes())?;
+        }
+    }
+    file.flush()
 }
 
 fn visits(laid: &[Laid]) -> usize {
@@ -168,8 +260,8 @@ fn cpu_us() -> f64 {
 /// The grid is dense, made large enough beforehand, and knows nothing but that one number.
 struct RayWalk {
     cells: Vec<i8>,
-    /// Rows are 2^this cells apart.
-    shift: u32,
+    /// Rows are so many cells apart: an odd number of cache lines, since rows a power of two apart would contend for the same ones.
+    stride: i32,
     origin: Point2<f64>,
     visits: usize,
 }
@@ -188,9 +280,15 @@ impl RayWalk {
             }
         }
         let cells = |length: f64| (length / RESOLUTION) as usize + 3;
-        let shift = cells(high.x - low.x).next_power_of_two().ilog2();
+        let stride = (cells(high.x - low.x) / 64) | 1;
+        let stride = (stride + 2) * 64;
         let margin = nalgebra::Vector2::new(RESOLUTION, RESOLUTION);
-        RayWalk { cells: vec![0; cells(high.y - low.y) << shift], shift, origin: low - margin, visits: 0 }
+        RayWalk {
+            cells: vec![0; cells(high.y - low.y) * stride],
+            stride: stride as i32,
+            origin: low - margin,
+            visits: 0,
+        }
     }
 
     fn insert(&mut self, sweep: &Sweep) {
@@ -203,12 +301,12 @@ impl RayWalk {
             let step = way / steps.max(1) as f64;
             let (dx, dy) = (step.x as i32, step.y as i32);
             for _ in 0..steps {
-                let cell = &mut self.cells[((y >> 16 << self.shift) + (x >> 16)) as usize];
+                let cell = &mut self.cells[((y >> 16) * self.stride + (x >> 16)) as usize];
                 *cell = cell.saturating_sub(1);
                 (x, y) = (x + dx, y + dy);
             }
             if returned {
-                let cell = &mut self.cells[((y >> 16 << self.shift) + (x >> 16)) as usize];
+                let cell = &mut self.cells[((y >> 16) * self.stride + (x >> 16)) as usize];
                 *cell = cell.saturating_add(3);
             }
             self.visits += steps;

@@ -238,7 +238,7 @@ impl LocalizeReport {
     }
 }
 
-/// CPU time of insertions (us).
+/// Times that something took, scan by scan (us).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct InsertTime {
     /// Half of the scans took less.
@@ -270,6 +270,10 @@ pub struct MapperReport {
     pub poses_out_of_order: u64,
     /// CPU time of one insertion, from ranges to updated map (us).
     pub insert_us: InsertTime,
+    /// From the last byte of a scan on the wire to the map that holds it, waiting for poses included (us, wall time); absent in a
+    /// replay.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub latency_us: Option<InsertTime>,
     /// Memory that the grid holds (bytes).
     pub map_bytes: usize,
     /// How the scans were located; absent where poses in the map were given.
@@ -441,6 +445,7 @@ impl Mapper {
             poses_read: self.poses_read,
             poses_out_of_order: self.poses_out_of_order,
             insert_us: InsertTime::of(&self.insert_ns),
+            latency_us: None,
             map_bytes: self.grid.bytes(),
             localization: self.matching.as_ref().map(|matching| Box::new(matching.report())),
         }
@@ -625,7 +630,8 @@ impl Matching {
 }
 
 impl InsertTime {
-    fn of(times_ns: &Histogram<u64>) -> InsertTime {
+    /// Of times in ns.
+    pub fn of(times_ns: &Histogram<u64>) -> InsertTime {
         let us = |ns: u64| ns as f64 / 1e3;
         InsertTime {
             median: us(times_ns.value_at_quantile(0.5)),
@@ -637,7 +643,7 @@ impl InsertTime {
 }
 
 /// Room for times up to a minute (ns).
-fn times() -> Histogram<u64> {
+pub fn times() -> Histogram<u64> {
     Histogram::new_with_bounds(1, 60_000_000_000, 3).expect("bounds in order, 3 digits")
 }
 

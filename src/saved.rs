@@ -321,11 +321,11 @@ fn aside(path: &Path) -> io::Result<tempfile::NamedTempFile> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grid::saved::{SavedCell, SavedTile, SavedVisible};
+    use crate::grid::saved::{SavedCell, SavedSector, SavedTile};
     use proptest::prelude::*;
 
     fn map() -> SavedMap {
-        let visible = SavedVisible { range: [100, 20], way: 1.5, ranges: [2.0, 2.25] };
+        let visible = SavedSector { range: [100, 20], ends: [1024, 1152], way: 1.5 };
         let cell = |column: u8| SavedCell {
             place: [column, 5],
             occupancy: 7,
@@ -333,12 +333,8 @@ mod tests {
             hits: 300,
             was_crossed: true,
             hit_scan: 70_000,
-            looked_scan: 70_001,
             visible,
-            visible_too: None,
-            run: Some(visible),
-            missed: Some([65_000, 700]),
-            missed_scans: 3,
+            visible_too: Some(visible),
             widest_missed: 900,
             centroid: [0.25, 0.75],
             hit_time: [0.5, 100.0],

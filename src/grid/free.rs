@@ -19,23 +19,26 @@ const MOST_TILES: usize = 1 << 16;
 /// Turns the outline of a scan into the cells inside, tile by tile.
 #[derive(Debug, Default)]
 pub struct Outline {
-    /// Corners in cells, relative to the corner of any tile.
-    corners: Vec<[f32; 2]>,
+    /// Corners in cells, x and y, relative to the corner of any tile.
+    corners: [Vec<f32>; 2],
     /// Cells from which on the rest of the row is on the other side of the outline.
     toggles: Vec<Rows>,
     /// For each corner, the first row whose cell centres are not below it.
     rows: Vec<i32>,
+    /// Numbers of the corners whose row is another than that of the corner before.
+    edges: Vec<u32>,
 }
 
 impl Outline {
-    /// Begins a new outline.
-    pub fn clear(&mut self) {
-        self.corners.clear();
+    /// Begins a new outline, with the corners that are put in here (cells); the last one is joined to the first.
+    pub fn begin(&mut self) -> &mut [Vec<f32>; 2] {
+        &mut self.corners
     }
 
-    /// Adds a corner (cells); the last one is joined to the first.
+    /// Adds a corner (cells).
     pub fn push(&mut self, x: f32, y: f32) {
-        self.corners.push([x, y]);
+        self.corners[0].push(x);
+        self.corners[1].push(y);
     }
 
     /// Gives the cells whose centres are inside, for each tile that has any: its column and row of tiles, and the cells.
@@ -67,16 +70,23 @@ impl Outline {
     /// Sets the toggles where edges cross the rows of cell centres.
     #[inline(always)]
     fn toggle(&mut self, area: &Area) {
+        let [xs, ys] = &self.corners;
         self.rows.clear();
-        self.rows.extend(self.corners.iter().map(|corner| row_after(corner[1])));
+        self.rows.extend(ys.iter().map(|&y| row_after(y)));
         let (left, columns) = (area.low[0] * SIDE, area.width as i32 * SIDE);
         let first = area.low[1] * area.width as i32;
-        let mut previous = self.corners.last().copied().zip(self.rows.last().copied());
-        for (&corner, &row) in self.corners.iter().zip(&self.rows) {
-            let Some(([x, y], before)) = previous.replace((corner, row)) else { return };
-            if before == row {
-                continue;
-            }
+        // Written in any case, counted if it crosses a row: a branch here would be guessed wrong every other time.
+        self.edges.resize(self.rows.len(), 0);
+        let (mut edges, mut before) = (0, self.rows.last().copied().unwrap_or_default());
+        for (corner, &row) in self.rows.iter().enumerate() {
+            self.edges[edges] = corner as u32;
+            edges += usize::from(row != before);
+            before = row;
+        }
+        for corner in self.edges[..edges].iter().map(|&corner| corner as usize) {
+            let previous = corner.checked_sub(1).unwrap_or(self.rows.len() - 1);
+            let (before, row) = (self.rows[previous], self.rows[corner]);
+            let ([x, y], corner) = ([xs[previous], ys[previous]], [xs[corner], ys[corner]]);
             // In fixed point with 32 bits after it: a beam without return beside others makes edges over many rows.
             let slope = f64::from(corner[0] - x) / f64::from(corner[1] - y);
             let rows = before.min(row)..before.max(row);
@@ -84,13 +94,15 @@ impl Outline {
             let step = (slope * ONE) as i64;
             // Rounded up, as all rows and columns are.
             let mut at = ((crossing * ONE) as i64).saturating_add(ONE as i64 - 1);
+            // Rounding may leave the area by a cell.
+            at = at.wrapping_sub(i64::from(left) << 32);
+            let most = (i64::from(columns) << 32) - 1;
             for row in rows {
-                // Rounding may leave the area by a cell.
-                let column = ((at >> 32) as i32).wrapping_sub(left).clamp(0, columns - 1);
+                let column = (at.clamp(0, most) >> 32) as i32;
                 at = at.wrapping_add(step);
                 let tile = (row >> 6) * area.width as i32 - first + (column >> 6);
-                if let Some(rows) = self.toggles.get_mut(tile as usize) {
-                    rows[(row & 63) as usize] ^= 1 << (column & 63);
+                if let Some(row) = self.toggles.as_flattened_mut().get_mut((tile << 6 | row & 63) as usize) {
+                    *row ^= 1 << (column & 63);
                 }
             }
         }
@@ -122,16 +134,23 @@ struct Area {
 
 impl Area {
     /// The area around these corners and the cell to their right; `None` where there is nothing inside, or too much.
-    fn around(corners: &[[f32; 2]]) -> Option<Area> {
-        if corners.len() < 3 {
+    #[inline(always)]
+    fn around(corners: &[Vec<f32>; 2]) -> Option<Area> {
+        if corners[0].len() < 3 {
             return None;
         }
-        let start = ([f32::MAX; 2], [f32::MIN; 2]);
-        let (low, high) = corners.iter().fold(start, |(low, high), corner| {
-            let each =
-                |choose: fn(f32, f32) -> f32, a: [f32; 2]| [choose(a[0], corner[0]), choose(a[1], corner[1])];
-            (each(f32::min, low), each(f32::max, high))
-        });
+        let extreme = |axis: usize, from: f32, choose: fn(f32, f32) -> f32| {
+            // Eight at a time: one by one, each would wait for the one before.
+            let (chunks, rest) = corners[axis].as_chunks::<8>();
+            let start = [rest.iter().copied().fold(from, choose); 8];
+            let all =
+                chunks.iter().fold(start, |all, chunk| std::array::from_fn(|n| choose(all[n], chunk[n])));
+            all.into_iter().fold(from, choose)
+        };
+        let least = |a: f32, b: f32| if b < a { b } else { a };
+        let most = |a: f32, b: f32| if b > a { b } else { a };
+        let low = [0, 1].map(|axis| extreme(axis, f32::MAX, least));
+        let high = [0, 1].map(|axis| extreme(axis, f32::MIN, most));
         let tile = |at: f32| row_after(at) >> 6;
         let (low, high) = (low.map(tile), high.map(tile));
         let side = |axis: usize| (i64::from(high[axis]) - i64::from(low[axis]) + 1).max(0) as usize;
@@ -161,7 +180,7 @@ mod tests {
         let mut outline = Outline::default();
         let mut rows = vec![vec!['.'; 6]; 5];
         for _ in 0..2 {
-            outline.clear();
+            outline.begin().iter_mut().for_each(Vec::clear);
             rows.iter_mut().for_each(|row| row.fill('.'));
             corners.iter().for_each(|c| outline.push(c[0], c[1]));
             outline.fill(|column, row, inside| {

@@ -1,12 +1,15 @@
 //! A VisAGGE grid as it is kept in a file: all evidence, bit for bit, and nothing that follows from it.
 //!
+//! What goes on from scan to scan is not kept: it ends with the pause.
+//!
 //! Not the file, which is in [`saved`](crate::saved), and not a copy of the grid's layout: the structs here change with the
 //! file's version only. Verdicts, lines and what else is judged from the evidence is judged anew.
 
 use super::{
     angle::{Angle, AngleRange},
-    cell::{Cell, Visible},
+    cell::Cell,
     tiles::{SIDE, TileIndex},
+    track::{Sector, Track},
     visagge::{Visagge, VisaggeSettings},
 };
 use serde::{Deserialize, Serialize};
@@ -66,27 +69,22 @@ pub struct SavedCell {
     pub hits: u16,
     pub was_crossed: bool,
     pub hit_scan: u32,
-    pub looked_scan: u32,
-    pub visible: SavedVisible,
-    /// Absent where `way` would be negative.
-    pub visible_too: Option<SavedVisible>,
-    pub run: Option<SavedVisible>,
-    pub missed: Option<[u16; 2]>,
-    pub missed_scans: u8,
+    pub visible: SavedSector,
+    pub visible_too: Option<SavedSector>,
     pub widest_missed: u16,
     pub centroid: [f32; 2],
     pub hit_time: [f32; 2],
 }
 
-/// See [`Visible`].
+/// See [`Sector`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct SavedVisible {
+pub struct SavedSector {
     /// Clockwise end and width (units of [`Angle`]).
     pub range: [u16; 2],
+    /// Distance of the sensor at either end (512 a metre).
+    pub ends: [u16; 2],
     /// Way driven at the last observation (m).
     pub way: f32,
-    /// Distance of the sensor at either end (m).
-    pub ranges: [f32; 2],
 }
 
 /// What makes a saved grid none.
@@ -99,38 +97,24 @@ pub struct BadGrid {
     pub what: &'static str,
 }
 
-impl From<AngleRange> for [u16; 2] {
-    fn from(range: AngleRange) -> Self {
-        [range.start.0, range.width]
+impl SavedSector {
+    fn of(sector: &Sector, way: f32) -> Self {
+        Self { range: [sector.range.start.0, sector.range.width], ends: sector.ends, way }
     }
-}
 
-impl From<[u16; 2]> for AngleRange {
-    fn from([start, width]: [u16; 2]) -> Self {
-        AngleRange { start: Angle(start), width }
+    fn sector(self) -> Sector {
+        let [start, width] = self.range;
+        Sector { range: AngleRange { start: Angle(start), width }, ends: self.ends }
     }
-}
 
-impl From<Visible> for SavedVisible {
-    fn from(visible: Visible) -> Self {
-        Self { range: visible.range.into(), way: visible.way, ranges: visible.ranges }
-    }
-}
-
-impl From<SavedVisible> for Visible {
-    fn from(saved: SavedVisible) -> Self {
-        Self { range: saved.range.into(), way: saved.way, ranges: saved.ranges }
-    }
-}
-
-impl SavedVisible {
     fn is_sound(&self) -> bool {
-        self.way.is_finite() && self.ranges.iter().all(|range| range.is_finite())
+        self.way.is_finite() && self.sector().exists()
     }
 }
 
 impl SavedCell {
-    fn of(cell: &Cell) -> Self {
+    fn of((cell, track): (&Cell, Track)) -> Self {
+        let too = track.visible_too;
         Self {
             place: cell.place,
             occupancy: cell.occupancy,
@@ -138,43 +122,38 @@ impl SavedCell {
             hits: cell.hits,
             was_crossed: cell.was_crossed,
             hit_scan: cell.hit_scan,
-            looked_scan: cell.looked_scan,
-            visible: cell.visible.into(),
-            visible_too: (cell.visible_too.way >= 0.0).then(|| cell.visible_too.into()),
-            run: cell.run.map(Into::into),
-            missed: cell.missed.map(Into::into),
-            missed_scans: cell.missed_scans,
-            widest_missed: cell.widest_missed,
+            visible: SavedSector::of(&track.visible, track.way),
+            visible_too: too.exists().then(|| SavedSector::of(&too, track.way_too)),
+            widest_missed: track.widest_missed,
             centroid: cell.centroid,
             hit_time: cell.hit_time,
         }
     }
 
-    fn cell(&self) -> Cell {
-        let visible = Visible::from(self.visible);
-        let mut cell = Cell::with_visible(self.place, self.was_crossed, visible);
+    fn cell(&self) -> (Cell, Track) {
+        let mut cell = Cell::new(self.place, self.was_crossed);
         cell.occupancy = self.occupancy;
         cell.passes = self.passes;
         cell.hits = self.hits;
         cell.hit_scan = self.hit_scan;
-        cell.looked_scan = self.looked_scan;
-        if let Some(too) = self.visible_too {
-            cell.visible_too = too.into();
-        }
-        cell.run = self.run.map(Into::into);
-        cell.missed = self.missed.map(Into::into);
-        cell.missed_scans = self.missed_scans;
-        cell.widest_missed = self.widest_missed;
         cell.centroid = self.centroid;
         cell.hit_time = self.hit_time;
-        cell
+        let track = Track {
+            visible: self.visible.sector(),
+            way: self.visible.way,
+            visible_too: self.visible_too.map(SavedSector::sector).unwrap_or_default(),
+            way_too: self.visible_too.map_or(0.0, |too| too.way),
+            widest_missed: self.widest_missed,
+            ..Track::default()
+        };
+        (cell, track)
     }
 
     fn is_sound(&self) -> bool {
         let inside = self.place.iter().all(|&at| i32::from(at) < SIDE) && self.occupancy <= MOST_OCCUPANCY;
         let numbers = self.centroid.iter().chain(&self.hit_time).all(|number| number.is_finite());
-        let ranges = [Some(self.visible), self.visible_too, self.run];
-        inside && numbers && ranges.iter().flatten().all(SavedVisible::is_sound)
+        let sectors = [Some(self.visible), self.visible_too];
+        inside && numbers && sectors.iter().flatten().all(SavedSector::is_sound)
     }
 }
 
@@ -232,7 +211,7 @@ impl Visagge {
         let tiles = self.tiles.iter().map(|(place, tile)| SavedTile {
             place: [place.x, place.y],
             free: tile.free.to_vec(),
-            cells: tile.evidence.as_ref().map(|evidence| evidence.cells.iter().map(SavedCell::of).collect()),
+            cells: tile.evidence.as_ref().map(|evidence| evidence.tracked().map(SavedCell::of).collect()),
         });
         SavedGrid {
             resolution: self.resolution,
@@ -333,10 +312,9 @@ mod tests {
             assert!(after.save() == going_on.save(), "{gap}");
             assert!(after.map() == going_on.map(), "{gap}");
             assert!(going_on.map().occupancy.iter().filter(|cell| **cell == 100).count() > 20);
-            assert!(
-                going_on.cells().any(|(_, cell, _)| cell.passes > 0),
-                "something was seen, missed and seen again"
-            );
+            let saved = going_on.save();
+            let mut cells = saved.tiles.iter().flat_map(|tile| tile.cells.iter().flatten());
+            assert!(cells.any(|cell| cell.widest_missed > 1000 && cell.visible.range[1] > 0), "the pane");
         }
     }
 
@@ -351,7 +329,9 @@ mod tests {
             insert(&mut paused, scan, *at);
         }
         let widths = |grid: &Visagge| {
-            grid.cells().map(|(_, cell, _)| u64::from(cell.visible.range.width)).sum::<u64>()
+            let saved = grid.save();
+            let cells = saved.tiles.iter().flat_map(|tile| tile.cells.iter().flatten());
+            cells.map(|cell| u64::from(cell.visible.range[1])).sum::<u64>()
         };
         assert!(widths(&paused) < widths(&grid));
     }

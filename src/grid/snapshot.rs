@@ -55,6 +55,7 @@ impl Frame {
 impl Visagge {
     /// Decides which cells are shown.
     pub(super) fn decide(&mut self) {
+        self.settle();
         if self.as_in_the_paper {
             self.remove_motion();
         } else {

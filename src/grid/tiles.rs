@@ -125,6 +125,11 @@ impl<T: Default> Tiles<T> {
         self.places[number]
     }
 
+    /// The places of all tiles, by their number.
+    pub fn places(&self) -> &[TileIndex] {
+        &self.places
+    }
+
     /// How many tiles there are.
     pub fn len(&self) -> usize {
         self.tiles.len()

@@ -1,17 +1,15 @@
 //! What a scan says of a cell: seen, missed, hidden, or nothing that is sure.
 //!
-//! No ray is walked. The scan is kept as a table from bearing to range, with the nearest return of every
-//! window of beams looked up in two steps, and a cell is compared with the beams that cross it.
-//!
-//! [`View::sight`] and [`View::observe`] say it of one cell. [`View::sights`] does the first for all cells
-//! of a tile, in a loop without branches, and leaves out those that are surely hidden.
+//! No ray is walked. The scan is kept as a table: for each beam, the nearest and the farthest return of the beams that cross a
+//! cell there. How many these are depends on how far the cell is, so there is such a table for each of some bands of distance,
+//! and a cell is compared with a single entry of one of them.
 
 use super::{
-    angle::{Angle, atan2, nearest},
+    angle::{Angle, atan, in_circle, nearest, whole},
     sweep::Sweep,
-    tiles::SIDE,
+    tiles::{SIDE, TileIndex},
+    track::UNITS_PER_M,
 };
-use nalgebra::{Point2, Vector2};
 
 /// What is known of the errors of ranges and poses, as far as it decides on a cell.
 #[derive(Clone, Copy, Debug)]
@@ -44,160 +42,142 @@ pub enum Observation {
 /// A cell as the sensor sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sight {
-    /// Distance (m).
-    pub range: f32,
-    /// Bearing in beams: 0 at the first beam.
-    pub beam: f32,
+    /// Distance ([`UNITS_PER_M`]), at least 1.
+    pub range: u16,
+    /// The beam that passes nearest.
+    pub beam: u16,
     /// Bearing of the sensor seen from the cell.
     pub angle: Angle,
+    /// Whether it is in the field of view.
+    pub is_in_view: bool,
 }
 
-/// Widest window of beams for which tables are kept: 2^LEVELS. Wider ones, of cells nearer than some
-/// 10 cm, are cut to it.
-const LEVELS: usize = 7;
-/// Level of the tables from which [`View::around`] is made.
-const AROUND: usize = 3;
-/// Beams to either side that are looked at there: two windows that share the beam in the middle.
-const AROUND_BEAMS: usize = (1 << AROUND) - 1;
-/// The same for the beams that cross a cell, of which there are fewer than of those that may do.
-const NARROW: usize = 2;
-const NARROW_BEAMS: usize = (1 << NARROW) - 1;
-/// Whatever differs by less is the same distance (m); rounding errors are far below.
-const HAIR: f32 = 0.001;
+/// Levels of windows of beams: the widest is 2^LEVELS beams.
+const LEVELS: usize = 6;
+/// Beams without meaning at both ends of a scan, so that windows need not be cut there.
+const PAD: usize = 1 << LEVELS;
+/// Most bands of distance.
+pub(super) const BANDS: usize = 12;
+/// Longest distance that there is ([`UNITS_PER_M`]): what returned nothing.
+const FARTHEST: i16 = i16::MAX;
 
 /// How a scan turns places into bearings and ranges, in numbers: small enough to stay in registers.
 #[derive(Clone, Copy, Debug, Default)]
-struct Lens {
-    first_bearing: f32,
-    beams_per_rad: f32,
+pub(super) struct Lens {
+    pub first_bearing: f32,
+    pub beams_per_rad: f32,
     /// The sensor's way from a beam to the next (m).
-    shift: [f32; 2],
+    pub shift: [f32; 2],
     /// Number of the last beam.
-    last: f32,
+    pub last: f32,
     /// Beams of a full turn, and one over it.
-    turn: f32,
-    per_turn: f32,
+    pub turn: f32,
+    pub per_turn: f32,
     /// In the middle of what the scanner does not see, where bearings are cut.
-    cut: f32,
+    pub cut: f32,
 }
 
 impl Lens {
-    /// What stands at (dx, dy) from the sensor's place in the middle of the scan (m).
+    /// What stands at (dx, dy) from the sensor's place in the middle of the scan (m). `lanes` does the same, in the same
+    /// steps.
     #[inline(always)]
-    fn sight(&self, dx: f32, dy: f32) -> Sight {
-        let range = (dx * dx + dy * dy).max(1e-6).sqrt();
-        let bearing = atan2(dy, dx);
-        let beam = self.wrap((bearing - self.first_bearing) * self.beams_per_rad);
+    pub fn sight(&self, dx: f32, dy: f32) -> Sight {
+        let (across, along) = (dy.abs(), dx.abs());
+        let steep = across > along;
+        let (less, more) = if steep { (along, across) } else { (across, along) };
+        let inverse = 1.0 / greater(more, LEAST_DISTANCE);
+        let ratio = less * inverse;
+        let square = ratio * ratio;
+        let middle_range = more * (1.0 + square).sqrt();
+        let bearing = in_circle(atan(ratio, square), steep, dy, dx);
+        let beam = self.beam(bearing);
         // To the first order, how the sensor's place at that beam differs from the one in the middle.
-        let moved = beam.clamp(0.0, self.last) - self.last / 2.0;
+        let moved = lesser(greater(beam, 0.0), self.last) - self.last * 0.5;
         let (ox, oy) = (self.shift[0] * moved, self.shift[1] * moved);
-        let inverse = 1.0 / range;
-        let turned = (dy * ox - dx * oy) * inverse * inverse;
+        // One over the square of the range, to within a hundredth: it is multiplied with centimetres.
+        let inverse_square = inverse * inverse * (INVERSE[0] + square * (INVERSE[1] + square * INVERSE[2]));
+        let turned = (dy * ox - dx * oy) * inverse_square;
+        let range = middle_range - (dx * ox + dy * oy) * inverse_square * middle_range;
+        let beam = beam + turned * self.beams_per_rad;
         Sight {
-            range: range - (dx * ox + dy * oy) * inverse,
-            beam: self.wrap(beam + turned * self.beams_per_rad),
+            range: whole(range * UNITS_PER_M).clamp(1, i32::from(FARTHEST)) as u16,
+            beam: whole(beam).clamp(0, self.last as i32) as u16,
             angle: Angle::from_bearing(bearing + turned + std::f32::consts::PI),
+            is_in_view: beam > -0.5 && beam < self.last + 0.5,
         }
     }
 
+    /// A bearing in beams.
     #[inline(always)]
-    fn wrap(&self, beam: f32) -> f32 {
+    pub fn beam(&self, bearing: f32) -> f32 {
+        let beam = (bearing - self.first_bearing) * self.beams_per_rad;
         // The whole turns since the cut, rounded down.
         beam - nearest((beam - self.cut) * self.per_turn - 0.5) * self.turn
     }
-
-    /// Whether a beam passes there.
-    #[inline(always)]
-    fn sees(&self, beam: f32) -> bool {
-        beam > -0.5 && beam < self.last + 0.5
-    }
 }
 
-/// Cells of a tile as the sensor sees them.
-#[derive(Clone, Debug)]
-pub struct Sights {
-    range: Box<[f32; CELLS]>,
-    beam: Box<[f32; CELLS]>,
-    angle: Box<[Angle; CELLS]>,
-    /// Numbers of the cells that are worth a look.
-    worth: Box<[u16; CELLS]>,
-}
-
-const CELLS: usize = (SIDE * SIDE) as usize;
-
-impl Default for Sights {
-    fn default() -> Self {
-        Sights {
-            range: Box::new([0.0; CELLS]),
-            beam: Box::new([0.0; CELLS]),
-            angle: Box::new([Angle::default(); CELLS]),
-            worth: Box::new([0; CELLS]),
-        }
-    }
-}
-
-impl Sights {
-    /// The sight of a cell, by its number in the tile.
-    #[inline(always)]
-    pub fn at(&self, number: usize) -> Sight {
-        Sight { range: self.range[number], beam: self.beam[number], angle: self.angle[number] }
-    }
-
-    /// Number of the `n`th cell that is worth a look.
-    #[inline(always)]
-    pub fn worth(&self, n: usize) -> usize {
-        self.worth[n].into()
-    }
-}
+/// Least distance along an axis (m).
+pub(super) const LEAST_DISTANCE: f32 = 1e-3;
+/// 1 / (1 + s) for s in 0..1, as a polynomial of s: off by 0.008 at most.
+pub(super) const INVERSE: [f32; 3] = [0.9926, -0.8284, 0.3431];
 
 /// Place of a cell in its tile: 64 times its row, plus its column. The highest bit marks cells that were hit.
 pub type Place = u16;
 /// See [`Place`].
 pub const HIT: Place = 1 << 15;
 
-/// A beam and those within [`AROUND_BEAMS`] to both sides; all less or more than true by a [`HAIR`], to be on the safe side.
-#[derive(Clone, Copy, Debug, Default)]
-struct Around {
-    /// What the beam itself returned (m), NaN without.
-    returned: f32,
-    /// How far it is itself known to be free (m).
-    itself_clear: f32,
-    /// The same if it had met nothing where it returned nothing.
-    itself_empty: f32,
-    /// All are known to be free up to here (m).
-    clear: f32,
-    /// The same if beams without return had met nothing however far.
-    empty: f32,
-    /// None of those within [`NARROW_BEAMS`] returned from beyond this (m).
-    peak: f32,
-    /// The same, and the beam itself says nothing beyond it.
-    hides: f32,
+/// What the beams that cross a cell have in common ([`UNITS_PER_M`]).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C, align(8))]
+pub(super) struct Crossing {
+    /// What the middle one returned.
+    pub returned: i16,
+    /// How far all are known to be free: 0 where one says nothing.
+    pub low: i16,
+    /// The farthest return, 0 without.
+    pub high: i16,
+    /// How far all beams that may cross the cell, errors considered, are free if those without return met nothing; with
+    /// [`SILENT`] if there are such.
+    pub empty: i16,
+}
+
+/// See [`Crossing::empty`].
+pub(super) const SILENT: i16 = i16::MIN;
+
+/// Distances at which so many beams cross a cell.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Band {
+    /// Beams to either side of the nearest that cross a cell.
+    narrow: usize,
+    /// The same for those that may, errors considered.
+    wide: usize,
 }
 
 /// One scan, ready to be compared with cells.
 #[derive(Debug, Default)]
 pub struct View {
     middle: [f64; 2],
-    lens: Lens,
+    pub(super) lens: Lens,
     /// How far the sensor moved in the scan (m).
     moved: f64,
-    count: usize,
-    /// Origin and direction of each beam.
-    beams: Vec<(Point2<f64>, Vector2<f64>)>,
-    /// Range of what returned (m), NaN where nothing did.
-    returned: Vec<f32>,
-    /// `clear[level][k]`: how far the beams k..k+2^level are all known to be free (m).
-    clear: [Vec<f32>; LEVELS + 1],
+    pub(super) count: usize,
+    /// `clear[level][k]`: how far the beams k..k+2^level are all known to be free ([`UNITS_PER_M`]). This and the next three have
+    /// [`PAD`] beams more on either side.
+    clear: [Vec<i16>; LEVELS + 1],
     /// The same if beams without return had met nothing however far.
-    empty: [Vec<f32>; LEVELS + 1],
-    /// `reach[level][k]`: how far any of these beams says something (m).
-    reach: [Vec<f32>; LEVELS + 1],
-    /// `peak[level][k]`: the farthest return of the beams k..k+2^level (m), 0 without.
-    peak: [Vec<f32>; NARROW + 1],
-    /// What the beams around each beam have in common: nearly all cells lie well before or well behind it.
-    around: Vec<Around>,
-    /// From this distance on, `around` covers all beams that matter to a cell (m).
-    around_from: f32,
+    empty: [Vec<i16>; LEVELS + 1],
+    /// `reach[level][k]`: how far any of these beams says something.
+    reach: [Vec<i16>; LEVELS + 1],
+    /// `peak[level][k]`: the farthest return of these beams, 0 without.
+    peak: [Vec<i16>; LEVELS + 1],
+    /// Band by band, what crosses a cell near each beam.
+    pub(super) crossings: Vec<Crossing>,
+    /// Cells nearer than this belong to the next band, or to one beyond ([`UNITS_PER_M`]).
+    pub(super) nearer: [i16; BANDS],
+    bands: [Band; BANDS],
+    /// How many of the bands have their crossings: they are worked out when something stands near enough.
+    known: usize,
+    pub(super) along: i16,
     farthest: f32,
 }
 
@@ -210,83 +190,153 @@ impl View {
         self.moved = (sweep.end.translation.vector - sweep.start.translation.vector).norm();
         let (shift, beams_per_rad) = (sweep.shift(), (1.0 / sweep.bearing_step()) as f32);
         let turn = (std::f32::consts::TAU * beams_per_rad).abs();
+        let last = self.count as f32 - 1.0;
         self.lens = Lens {
             first_bearing: sweep.first_bearing() as f32,
             beams_per_rad,
             shift: [shift.x as f32, shift.y as f32],
-            last: self.count as f32 - 1.0,
+            last,
             turn,
             per_turn: 1.0 / turn,
-            cut: (self.count as f32 - turn) / 2.0,
+            cut: (last - turn) / 2.0,
         };
-        self.beams.clear();
-        self.beams.extend(sweep.beams());
-        self.returned.clear();
-        self.clear[0].clear();
-        self.empty[0].clear();
-        for &range in &sweep.scan.ranges {
-            let valid = range.is_finite() && range <= far as f32;
-            self.returned.push(if valid { range } else { f32::NAN });
-            let (clear, empty) = if valid {
-                (range, range)
-            } else if range == f32::INFINITY || range > far as f32 {
-                (0.0, far as f32)
-            } else {
-                (0.0, 0.0)
-            };
-            self.clear[0].push(clear);
-            self.empty[0].push(empty);
-        }
-        self.reach[0].clone_from(&self.empty[0]);
-        self.farthest = self.reach[0].iter().copied().fold(0.0, greater);
-        double(&mut self.clear, lesser);
-        double(&mut self.empty, lesser);
-        double(&mut self.reach, greater);
-        self.peak[0].clone_from(&self.clear[0]);
-        double(&mut self.peak, greater);
-        self.look_around(tolerance);
+        self.along = (tolerance.along as f32 * UNITS_PER_M) as i16;
+        self.load_ranges(&sweep.scan.ranges, far as f32);
+        self.load_bands(tolerance);
     }
 
     #[inline(always)]
-    fn look_around(&mut self, tolerance: &Tolerance) {
-        // Of the beams within `around`, those that are not taken up by the heading's error.
-        let per_rad = self.lens.beams_per_rad.abs();
-        let beams = AROUND_BEAMS as f32 - tolerance.heading as f32 * per_rad;
-        let half_cell = tolerance.resolution as f32 / 2.0;
-        let from = (half_cell + tolerance.across as f32) * per_rad / beams;
-        self.around_from = from.max(half_cell * per_rad / NARROW_BEAMS as f32) + HAIR;
-        self.around.clear();
-        if self.count <= AROUND_BEAMS || beams <= 0.0 {
-            self.around_from = f32::INFINITY;
-            let beams = self.returned.iter().map(|&returned| Around { returned, ..Around::default() });
-            self.around.extend(beams);
-            return;
+    fn load_ranges(&mut self, ranges: &[f32], far: f32) {
+        let far_units = (far * UNITS_PER_M).min(f32::from(FARTHEST) - 1.0) as i16;
+        let padded = ranges.len() + 2 * PAD;
+        for (table, neutral) in [
+            (&mut self.clear, FARTHEST),
+            (&mut self.empty, FARTHEST),
+            (&mut self.peak, 0),
+            (&mut self.reach, 0),
+        ] {
+            table[0].clear();
+            table[0].resize(padded, neutral);
         }
-        let both = |table: &[f32], beam: usize, beams: usize| {
-            let last = table.len() - 1;
-            [table[beam.saturating_sub(beams).min(last)], table[beam.min(last)]]
-        };
-        let (clear, empty, peak) = (&self.clear[AROUND], &self.empty[AROUND], &self.peak[NARROW]);
-        self.around.extend((0..self.count).map(|beam| {
-            let itself = self.empty[0][beam];
-            let [a, b] = both(clear, beam, AROUND_BEAMS);
-            let [c, d] = both(empty, beam, AROUND_BEAMS);
-            let [e, f] = both(peak, beam, NARROW_BEAMS);
-            Around {
-                returned: self.returned[beam],
-                itself_clear: self.clear[0][beam],
-                itself_empty: itself,
-                clear: lesser(a, b) - HAIR,
-                empty: lesser(c, d) - HAIR,
-                peak: greater(e, f) + HAIR,
-                hides: greater(itself, greater(e, f)) + HAIR,
-            }
-        }));
+        let inside = PAD..PAD + ranges.len();
+        let (clear, empty) = (&mut self.clear[0][inside.clone()], &mut self.empty[0][inside.clone()]);
+        for ((&range, clear), empty) in ranges.iter().zip(&mut *clear).zip(&mut *empty) {
+            // Neither is true of what is no number.
+            let (is_return, is_far) = (range > 0.0 && range <= far, range > far);
+            let units = whole(if is_return { range } else { 0.0 } * UNITS_PER_M) as i16;
+            *clear = units;
+            *empty = if is_far { far_units } else { units };
+        }
+        self.peak[0][inside.clone()].copy_from_slice(clear);
+        self.reach[0][inside].copy_from_slice(empty);
+        self.farthest = f32::from(empty.iter().copied().fold(0, i16::max)) / UNITS_PER_M;
+        double(&mut self.clear, i16::min);
+        double(&mut self.empty, i16::min);
+        double(&mut self.peak, i16::max);
+        double(&mut self.reach, i16::max);
     }
 
-    /// Origin (m) and direction (unit vector) of every beam in the map's frame, in the scan's order.
-    pub fn beams(&self) -> &[(Point2<f64>, Vector2<f64>)] {
-        &self.beams
+    /// The bands.
+    #[inline(always)]
+    fn load_bands(&mut self, tolerance: &Tolerance) {
+        let per_rad = self.lens.beams_per_rad.abs();
+        let half_cell = tolerance.resolution as f32 / 2.0 * per_rad;
+        let lateral = half_cell + tolerance.across as f32 * per_rad;
+        let heading = tolerance.heading as f32 * per_rad;
+        self.nearer = [0; BANDS];
+        self.known = 0;
+        // Those of each band that is known are written anew.
+        self.crossings.resize(BANDS * self.count, Crossing::default());
+        let (mut wide, mut farther) =
+            ((lateral / f32::from(FARTHEST) * UNITS_PER_M + heading + 0.5) as usize, 0.0);
+        for band in 0..BANDS {
+            let is_last = band == BANDS - 1 || wide >= PAD - 1;
+            wide = wide.min(PAD - 1);
+            // From here on, so many beams and no more are within the margins.
+            let nearest = lateral / (wide as f32 + 0.5 - heading).max(0.25);
+            // Half as many in the middle of the band as at both of its ends together.
+            let narrow = (half_cell / nearest + farther) / 2.0;
+            farther = half_cell / nearest;
+            self.bands[band] = Band { narrow: (narrow as usize).min(wide), wide };
+            if is_last {
+                return;
+            }
+            self.nearer[band] = (nearest * UNITS_PER_M).min(f32::from(FARTHEST)) as i16;
+            wide += (wide / 2).max(1);
+        }
+    }
+
+    /// Has at hand what cells from this distance on (m) are compared with.
+    #[inline(always)]
+    pub(super) fn prepare(&mut self, distance: f32) {
+        let units = (distance * UNITS_PER_M - 1.0).max(0.0) as i16;
+        let band = self.nearer.iter().take_while(|&&nearer| nearer > units).count();
+        while self.known <= band {
+            self.load_band(self.known, self.bands[self.known]);
+            self.known += 1;
+        }
+    }
+
+    #[inline(always)]
+    fn load_band(&mut self, number: usize, band: Band) {
+        // The two tabulated windows that cover the beams within `half` of each one.
+        let windows = |half: usize| {
+            let beams = 2 * half + 1;
+            let (level, first) = (beams.ilog2() as usize, PAD - half);
+            let second = first + beams - (1 << level);
+            (level, first..first + self.count, second..second + self.count)
+        };
+        let (level, a, b) = windows(band.narrow);
+        let (low_a, low_b) = (&self.clear[level][a.clone()], &self.clear[level][b.clone()]);
+        let (high_a, high_b) = (&self.peak[level][a], &self.peak[level][b]);
+        let (level, a, b) = windows(band.wide);
+        let (clear_a, clear_b) = (&self.clear[level][a.clone()], &self.clear[level][b.clone()]);
+        let (empty_a, empty_b) = (&self.empty[level][a], &self.empty[level][b]);
+        let own = &self.clear[0][PAD..PAD + self.count];
+        let crossings = &mut self.crossings[number * self.count..][..self.count];
+        for (beam, crossing) in crossings.iter_mut().enumerate() {
+            let clear = clear_a[beam].min(clear_b[beam]);
+            let empty = empty_a[beam].min(empty_b[beam]);
+            *crossing = Crossing {
+                returned: if own[beam] == 0 { FARTHEST } else { own[beam] },
+                low: low_a[beam].min(low_b[beam]),
+                high: high_a[beam].max(high_b[beam]),
+                empty: if clear < empty { empty | SILENT } else { empty },
+            };
+        }
+    }
+
+    /// How far each beam and both beside it are known to be free (m), less `margin`; `silent`, where they returned nothing. A
+    /// beam that alone goes far is a random reading, or slipped through where nothing else can.
+    #[inline(always)]
+    pub fn free_ranges(&self, silent: f32, margin: f32, free: &mut Vec<f32>) {
+        let silent = (silent * UNITS_PER_M) as i16;
+        let beams = PAD - 1..PAD + self.count + 1;
+        let (clear, empty) = (&self.clear[0][beams.clone()], &self.empty[0][beams]);
+        // Beyond the ends both are FARTHEST.
+        let of = |beam: usize| if clear[beam] < empty[beam] { silent } else { clear[beam] };
+        free.resize(self.count, 0.0);
+        for (beam, free) in free.iter_mut().enumerate() {
+            let least = of(beam).min(of(beam + 1)).min(of(beam + 2));
+            *free = greater(f32::from(least) / UNITS_PER_M - margin, 0.0);
+        }
+    }
+
+    /// Where the sensor was in the middle of the scan (m).
+    #[inline(always)]
+    pub fn middle(&self) -> [f64; 2] {
+        self.middle
+    }
+
+    /// What stands at (dx, dy) from [`View::middle`] (m).
+    #[inline(always)]
+    pub fn sight(&self, dx: f32, dy: f32) -> Sight {
+        self.lens.sight(dx, dy)
+    }
+
+    /// How far the sensor moved in the scan (m).
+    pub fn moved(&self) -> f32 {
+        self.moved as f32
     }
 
     /// The longest distance of which the scan says something (m).
@@ -294,179 +344,64 @@ impl View {
         self.farthest
     }
 
-    /// How far each beam and both beside it are known to be free (m); `silent`, where they returned nothing. A
-    /// beam that alone goes far is a random reading, or slipped through where nothing else can.
-    pub fn free_ranges(&self, silent: f32) -> impl Iterator<Item = f32> {
-        let free = move |beam: usize| {
-            let (clear, empty) = (self.clear[0][beam], self.empty[0][beam]);
-            if clear < empty { silent } else { clear }
-        };
-        let last = self.clear[0].len().saturating_sub(1);
-        (0..self.clear[0].len())
-            .map(move |beam| free(beam.saturating_sub(1)).min(free(beam)).min(free((beam + 1).min(last))))
-    }
-
-    /// Where the sensor was in the middle of the scan (m).
-    pub fn middle(&self) -> [f64; 2] {
-        self.middle
-    }
-
-    /// What stands at (dx, dy) from [`View::middle`] (m), as seen by the beam that passes nearest to it; `None` outside the
-    /// field of view.
+    /// The middle of a tile's first cell, seen from [`View::middle`] (m). Taken anew for each scan, so that `f32` is exact
+    /// enough however far the map reaches.
     #[inline(always)]
-    pub fn sight(&self, dx: f32, dy: f32) -> Option<Sight> {
-        let sight = self.lens.sight(dx, dy);
-        self.lens.sees(sight.beam).then_some(sight)
+    pub fn corner(&self, place: TileIndex, resolution: f64) -> [f32; 2] {
+        let at = |index: i32| (f64::from(index) * f64::from(SIDE) + 0.5) * resolution;
+        [(at(place.x) - self.middle[0]) as f32, (at(place.y) - self.middle[1]) as f32]
     }
 
-    /// The sights of the cells at these places of a tile, and how many of them are worth a look: hit, or within the field of
-    /// view and not surely hidden. `corner`: the middle of the tile's first cell, seen from [`View::middle`] (m).
+    /// Whether the beams within `half` beams of a bearing (in beams) say something of what is as far as this (m).
     #[inline(always)]
-    pub fn sights(
-        &self,
-        corner: [f32; 2],
-        places: &[Place],
-        tolerance: &Tolerance,
-        sights: &mut Sights,
-    ) -> usize {
-        let (lens, resolution, along) = (self.lens, tolerance.resolution as f32, tolerance.along as f32);
-        let count = places.len().min(CELLS);
-        let (ranges, beams) = (&mut sights.range[..count], &mut sights.beam[..count]);
-        let angles = &mut sights.angle[..count];
-        for (((place, range), beam), angle) in places.iter().zip(&mut *ranges).zip(&mut *beams).zip(angles) {
-            let sight = lens.sight(
-                corner[0] + f32::from(place & 63) * resolution,
-                corner[1] + f32::from(place >> 6 & 63) * resolution,
-            );
-            (*range, *beam, *angle) = (sight.range, sight.beam, sight.angle);
-        }
-        let mut worth = 0;
-        for (number, ((place, &range), &beam)) in places.iter().zip(&*ranges).zip(&*beams).enumerate() {
-            let hidden = range >= self.around_from && self.around[self.nearest(beam)].hides < range - along;
-            // Written in any case, counted if it shall stay: a branch here would be guessed wrong every other time.
-            sights.worth[worth] = number as u16;
-            worth += usize::from(lens.sees(beam) & (!hidden | (place & HIT != 0)));
-        }
-        worth
-    }
-
-    /// Whether the scan says nothing of any cell whose centre lies in the disc around (dx, dy) from [`View::middle`] (m).
-    #[inline(always)]
-    pub fn is_out_of_reach(&self, dx: f32, dy: f32, radius: f32, tolerance: &Tolerance) -> bool {
-        let (along, moved) = (tolerance.along as f32, self.moved as f32);
-        let square = dx * dx + dy * dy;
-        let beyond = self.farthest + along + radius + moved + HAIR;
-        if square > beyond * beyond {
-            return true;
-        }
-        let distance = square.sqrt();
-        let nearest = distance - radius - moved - HAIR;
-        if nearest <= radius {
-            return false;
-        }
-        // The disc's width, from above, and margins for the motion within the scan and for the heading.
-        let sine = radius / distance;
-        let half = sine + 0.571 * sine * sine * sine + moved / nearest + tolerance.heading as f32 + 0.02;
-        let beam = self.lens.sight(dx, dy).beam;
-        if self.lens.sees(beam) {
-            return self.reach_between(beam, half) + along < nearest;
+    pub(super) fn reaches(&self, beam: f32, half: f32, distance: f32) -> bool {
+        if beam > -0.5 && beam < self.lens.last + 0.5 {
+            return self.reach_between(beam, half) >= distance;
         }
         // The gap between the last beam and the first one after a turn.
-        let (beam, half) =
-            (if beam < 0.0 { beam + self.lens.turn } else { beam }, half * self.lens.beams_per_rad.abs());
-        beam - half > self.lens.last + 1.0 && beam + half < self.lens.turn - 1.0
+        let beam = if beam < 0.0 { beam + self.lens.turn } else { beam };
+        beam - half <= self.lens.last + 1.0 || beam + half >= self.lens.turn - 1.0
     }
 
-    /// What the scan says of the cell with this sight (paper IV-B; the margins are in [`Tolerance`]).
+    /// What the scan says of the cell with this sight (paper IV-B; the margins are in [`Tolerance`]). `lanes` does the same.
     ///
     /// `would_return`: from this far, the cell is known to return something.
     #[inline(always)]
-    pub fn observe(&self, sight: &Sight, would_return: bool, tolerance: &Tolerance) -> Observation {
-        let (range, along) = (sight.range, tolerance.along as f32);
-        let around = &self.around[self.nearest(sight.beam)];
-        if (around.returned - range).abs() <= along {
-            return Observation::Seen;
+    pub fn observe(&self, sight: &Sight, would_return: impl FnOnce() -> bool) -> Observation {
+        if !sight.is_in_view {
+            return Observation::Hidden;
         }
-        if range >= self.around_from {
-            if around.clear > range + along {
-                return Observation::Missed;
-            }
-            if around.itself_clear < range - along {
-                // The nearest beam alone shows that the cell is not missed, and if it is not hidden it is silent or seen.
-                if would_return & (around.empty > range + along) {
-                    return Observation::Silent;
-                }
-                let silent = would_return & (around.itself_empty > range + along);
-                let seen = around.peak >= range - along;
-                if !silent & !seen {
-                    return Observation::Hidden;
-                }
-            }
-        }
-        self.observe_closely(sight, would_return, tolerance)
-    }
-
-    /// The same without the shortcut.
-    #[inline(always)]
-    pub(super) fn observe_closely(
-        &self,
-        sight: &Sight,
-        would_return: bool,
-        tolerance: &Tolerance,
-    ) -> Observation {
-        let (range, along) = (sight.range, tolerance.along as f32);
-        let is_of_cell = |returned: &f32| (returned - range).abs() <= along;
-        if is_of_cell(&self.returned[self.nearest(sight.beam)]) {
-            return Observation::Seen;
-        }
-        let half_cell = tolerance.resolution as f32 / 2.0;
-        let half_wide = (half_cell + tolerance.across as f32) / range + tolerance.heading as f32;
-        let wide = self.window(sight.beam, half_wide);
-        if lookup(&self.clear, wide, lesser) > range + along {
-            return Observation::Missed;
-        }
-        if would_return && lookup(&self.empty, wide, lesser) > range + along {
-            return Observation::Silent;
-        }
-        let window = self.window(sight.beam, half_cell / range);
-        if self.returned[window.0..window.1].iter().any(is_of_cell) {
+        let range = sight.range as i16;
+        let band = self.nearer.iter().filter(|&&nearer| nearer > range).count();
+        let Crossing { returned, low, high, empty } =
+            self.crossings[band * self.count + usize::from(sight.beam)];
+        let is_of_cell = |distance: i16| (distance - range).abs() <= self.along;
+        if is_of_cell(returned) || is_of_cell(low) || is_of_cell(high) {
             Observation::Seen
-        } else if lookup(&self.clear, window, lesser) < range - along {
+        } else if empty & FARTHEST > range.saturating_add(self.along) && (empty >= 0 || would_return()) {
+            if empty >= 0 { Observation::Missed } else { Observation::Silent }
+        } else if low < range {
             Observation::Hidden
         } else {
             Observation::Unsure
         }
     }
 
-    /// How far the beams between two bearings (in beams, any order) say anything (m).
-    pub fn reach_between(&self, beam: f32, half: f32) -> f32 {
-        let window = self.window(beam, half);
-        if window.1 - window.0 > 1 << (LEVELS + 1) {
-            self.farthest
-        } else {
-            lookup(&self.reach, window, greater)
+    /// How far the beams within `half` beams of a bearing (in beams) say anything (m).
+    fn reach_between(&self, beam: f32, half: f32) -> f32 {
+        let low = (beam - half).max(0.0) as usize;
+        let high = ((beam + half).max(0.0) as usize + 2).min(self.count).max(low + 1);
+        if high - low > 1 << (LEVELS + 1) {
+            return self.farthest;
         }
-    }
-
-    /// The beams within `half` (rad) of a bearing: at least the nearest.
-    #[inline(always)]
-    fn window(&self, beam: f32, half: f32) -> (usize, usize) {
-        let half = half * self.lens.beams_per_rad.abs();
-        let nearest = self.nearest(beam);
-        // Rounded up and down by hand: without SSE4.1, `ceil` and `floor` are calls.
-        let from = (beam - half).max(0.0);
-        let low = from as i32 as usize;
-        let low = (low + usize::from((low as i32 as f32) < from)).min(nearest);
-        let high = ((beam + half).max(0.0) as i32 as usize).clamp(nearest, self.count - 1);
-        (low, high + 1)
-    }
-
-    /// The beam that passes nearest.
-    #[inline(always)]
-    fn nearest(&self, beam: f32) -> usize {
-        ((beam + 0.5).max(0.0) as i32 as usize).min(self.count - 1)
+        let level = ((high - low).ilog2() as usize).min(LEVELS);
+        let table = &self.reach[level];
+        f32::from(table[PAD + low].max(table[PAD + high - (1 << level)])) / UNITS_PER_M
     }
 }
+
+/// Whatever differs by less is the same distance (m): units and rounding errors are below.
+pub(super) const HAIR: f32 = 0.004;
 
 /// `f32::min` of numbers that are numbers, in one instruction.
 #[inline(always)]
@@ -482,34 +417,25 @@ fn greater(a: f32, b: f32) -> f32 {
 
 /// Fills each level from the one before: a window of twice as many beams.
 #[inline(always)]
-fn double(table: &mut [Vec<f32>], choose: impl Fn(f32, f32) -> f32) {
+fn double(table: &mut [Vec<i16>], choose: impl Fn(i16, i16) -> i16) {
     for level in 1..table.len() {
         let (below, above) = table.split_at_mut(level);
         let (below, width) = (&below[level - 1], 1 << (level - 1));
         let shifted = below.get(width..).unwrap_or(&[]);
-        above[0].resize(shifted.len(), 0.0);
+        above[0].resize(shifted.len(), 0);
         for ((chosen, &a), &b) in above[0].iter_mut().zip(below).zip(shifted) {
             *chosen = choose(a, b);
         }
     }
 }
 
-/// The chosen value over a window, by the two tabulated windows that cover it.
-#[inline(always)]
-fn lookup(
-    table: &[Vec<f32>; LEVELS + 1],
-    (low, high): (usize, usize),
-    choose: impl Fn(f32, f32) -> f32,
-) -> f32 {
-    let level = ((high - low).ilog2() as usize).min(LEVELS);
-    let width = 1 << level;
-    choose(table[level][low], table[level][high - width])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{grid::sweep::tests::half_circle, pose::pose};
+    use crate::{
+        grid::{sweep::tests::half_circle, track::distance_units},
+        pose::pose,
+    };
     use proptest::prelude::*;
     use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -523,11 +449,13 @@ mod tests {
             30.0,
             &TOLERANCE,
         );
+        view.prepare(0.0);
         view
     }
 
     fn observe(view: &View, x: f32, y: f32) -> Option<Observation> {
-        view.sight(x, y).map(|sight| view.observe(&sight, sight.range < 12.0, &TOLERANCE))
+        let sight = view.sight(x, y);
+        sight.is_in_view.then(|| view.observe(&sight, || sight.range < distance_units(12.0)))
     }
 
     #[test]
@@ -572,24 +500,40 @@ mod tests {
         for (number, (origin, direction)) in sweep.beams().enumerate() {
             let point = origin + direction * 2.0;
             let [dx, dy] = [point.x - view.middle[0], point.y - view.middle[1]];
-            let sight = view.sight(dx as f32, dy as f32).unwrap();
-            assert!((sight.beam - number as f32).abs() < 0.05, "{number}: {sight:?}");
-            assert!((sight.range - 2.0).abs() < 0.001, "{number}: {sight:?}");
+            let sight = view.sight(dx as f32, dy as f32);
+            assert!(sight.is_in_view && usize::from(sight.beam) == number, "{number}: {sight:?}");
+            assert!(sight.range.abs_diff(distance_units(2.0)) <= 1, "{number}: {sight:?}");
         }
     }
 
     proptest! {
         #[test]
-        fn the_tables_give_what_the_beams_say(ranges in proptest::collection::vec(0.1f32..20.0, 200..400), at in 0.0f32..1.0, half in 0.0f32..1.2) {
-            let count = ranges.len();
+        fn the_tables_give_what_the_beams_say(ranges in proptest::collection::vec((0.1f32..20.0, 0..12), 200..400), at in 0.0f32..1.0, distance in 0.1f32..20.0) {
+            let beams = ranges.len();
+            let code = |(range, kind): (f32, i32)| match kind { 0 => f32::INFINITY, 1 => f32::NAN, _ => range };
+            let ranges: Vec<f32> = ranges.into_iter().map(code).collect();
             let view = view(ranges.clone());
-            let beam = at * (count - 1) as f32;
-            let (low, high) = view.window(beam, half);
-            prop_assume!(high - low <= 1 << (LEVELS + 1));
-            let expected = ranges[low..high].iter().copied().fold(f32::MAX, lesser);
-            prop_assert_eq!(lookup(&view.clear, (low, high), lesser), expected);
-            let expected = ranges[low..high].iter().copied().fold(0.0, f32::max);
-            prop_assert_eq!(view.reach_between(beam, half), expected);
+            let beam = (at * (beams - 1) as f32) as usize;
+            let range = distance_units(distance) as i16;
+            let band = view.nearer.iter().filter(|nearer| **nearer > range).count();
+            let crossing = view.crossings[band * beams + beam];
+            // All beams that may cross the cell are in the wide window; the narrow one has at least the nearest.
+            let per_rad = view.lens.beams_per_rad;
+            let sure = ((0.025 + TOLERANCE.across as f32) / (distance + 0.002) + TOLERANCE.heading as f32) * per_rad;
+            let around = |half: usize| beam.saturating_sub(half)..(beam + half + 1).min(beams);
+            let sure = &ranges[around((sure as usize).min(PAD - 1))];
+            let units = |range: &f32| distance_units(*range) as i16;
+            let clear = |range: &f32| if range.is_finite() { units(range) } else { 0 };
+            let empty = |range: &f32| if range.is_infinite() { distance_units(30.0) as i16 } else { clear(range) };
+            prop_assert!(crossing.empty & FARTHEST <= sure.iter().map(empty).min().unwrap());
+            prop_assert!(crossing.empty < 0 || sure.iter().all(|range| !range.is_infinite()) || crossing.empty == 0);
+            prop_assert!(crossing.low <= clear(&ranges[beam]) && crossing.high >= clear(&ranges[beam]));
+            let known = [crossing.low, crossing.high].map(|of| ranges.iter().any(|range| clear(range) == of));
+            prop_assert_eq!(known, [true, true]);
+
+            let (half, reach) = (sure.len() as f32, view.reach_between(beam as f32, 0.0));
+            prop_assert!(reach >= f32::from(empty(&ranges[beam])) / UNITS_PER_M);
+            prop_assert!(view.reach_between(beam as f32, half) >= reach);
         }
 
         #[test]
@@ -597,10 +541,11 @@ mod tests {
             prop_assume!(x.hypot(y) > 0.2);
             let view = view(vec![10.0; 721]);
             let inside = y.atan2(x).abs() < FRAC_PI_2 + PI / 1440.0;
-            if let Some(sight) = view.sight(x as f32, y as f32) {
+            let sight = view.sight(x as f32, y as f32);
+            if sight.is_in_view {
                 prop_assert!(inside);
-                prop_assert!((f64::from(sight.range) - x.hypot(y)).abs() < 1e-4);
-                prop_assert!(sight.angle.distance(Angle::from_rad((-y).atan2(-x))) <= 1);
+                prop_assert!(sight.range.abs_diff(distance_units(x.hypot(y) as f32)) <= 1);
+                prop_assert!(sight.angle.distance(Angle::from_rad((-y).atan2(-x))) <= 2);
             } else {
                 prop_assert!(y.atan2(x).abs() > FRAC_PI_2 - PI / 1440.0);
             }

@@ -1,15 +1,18 @@
 //! The mapper thread: takes scans and poses in the order in which they arrived, and tells the others what came of
 //! them. The grid's state depends on that order alone, which is what the recording keeps.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError};
+use hdrhistogram::Histogram;
 
+use super::clock;
 use super::queues::Sender;
 use super::shared::{Shared, lock};
 use crate::map::Map;
-use crate::mapper::{Mapper, MapperReport, Outcome};
+use crate::mapper::{InsertTime, Mapper, MapperReport, Outcome, times};
 use crate::pose::{Pose, StampedPose};
 use crate::record::{Attachment, Record};
 use crate::saved::SavedMap;
@@ -67,6 +70,7 @@ impl Mapping {
     /// Maps until both senders are gone, then decides on the scans that still wait and gives the last map.
     pub fn run(mut self, inbox: &Receiver<ToMapper>) {
         let mut scans_taken = 0;
+        let mut delays = Delays { waiting: VecDeque::new(), ns: times() };
         let mut last_map = Instant::now();
         let mut last_report = Instant::now();
         let mut last_saved = Instant::now();
@@ -77,6 +81,7 @@ impl Mapping {
                     if let Some(recorder) = &self.recorder {
                         recorder.offer(Record::Scan(Arc::new(scan.clone())));
                     }
+                    delays.waiting.push_back((scan.seq, scan.received_ns));
                     self.mapper.on_scan(scan);
                     scans_taken += 1;
                 }
@@ -89,13 +94,13 @@ impl Mapping {
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
-            self.tell_outcomes();
+            self.tell_outcomes(&mut delays);
             if last_report.elapsed() >= REPORT_PERIOD {
-                *lock(&self.shared.mapper) = Some(self.mapper.report());
+                *lock(&self.shared.mapper) = Some(self.report(&delays));
                 last_report = Instant::now();
             }
             if last_map.elapsed() >= self.map_every {
-                self.tell_map(Duration::ZERO);
+                self.tell_map(&delays, Duration::ZERO);
                 last_map = Instant::now();
             }
             if self.save_every.is_some_and(|every| last_saved.elapsed() >= every) {
@@ -105,15 +110,20 @@ impl Mapping {
             self.shared.mapper_steps.count();
         }
         self.mapper.finish();
-        self.tell_outcomes();
+        self.tell_outcomes(&mut delays);
         if self.save_every.is_some() {
             self.save(&mut saved_scans, PATIENCE_AT_END);
         }
-        self.tell_map(PATIENCE_AT_END);
+        self.tell_map(&delays, PATIENCE_AT_END);
     }
 
-    fn tell_outcomes(&mut self) {
+    fn report(&self, delays: &Delays) -> MapperReport {
+        MapperReport { latency_us: Some(InsertTime::of(&delays.ns)), ..self.mapper.report() }
+    }
+
+    fn tell_outcomes(&mut self, delays: &mut Delays) {
         while let Some(outcome) = self.mapper.next_outcome() {
+            delays.note(&outcome);
             let Outcome::Inserted { stamp_ns, start, .. } = outcome else { continue };
             self.main.offer(FromMapper::Inserted { stamp_ns, pose: start });
             if let Some(recorder) = &self.recorder {
@@ -133,9 +143,9 @@ impl Mapping {
         }
     }
 
-    fn tell_map(&mut self, patience: Duration) {
+    fn tell_map(&mut self, delays: &Delays, patience: Duration) {
         let map = Arc::new(self.mapper.map());
-        self.main.hand_over(FromMapper::Map(Arc::clone(&map), Box::new(self.mapper.report())), patience);
+        self.main.hand_over(FromMapper::Map(Arc::clone(&map), Box::new(self.report(delays))), patience);
         let Some(recorder) = &self.recorder else { return };
         recorder.hand_over(Record::Map(Arc::clone(&map)), patience);
         if patience.is_zero() {
@@ -145,6 +155,26 @@ impl Mapping {
             let name = "map.npz".into();
             let attachment = Attachment { name, media_type: "application/x-npz".into(), data };
             recorder.hand_over(Record::Attachment(attachment), patience);
+        }
+    }
+}
+
+/// How long scans take from their last byte to the map.
+struct Delays {
+    /// Numbers of the scans that were taken and when their last byte came (ns, monotonic).
+    waiting: VecDeque<(u64, i64)>,
+    ns: Histogram<u64>,
+}
+
+impl Delays {
+    /// Takes the time of a scan that is in the map by now. Every scan has one outcome, in the order of their numbers but for those
+    /// that are out of order.
+    fn note(&mut self, outcome: &Outcome) {
+        let (Outcome::Inserted { seq, .. } | Outcome::Skipped { seq, .. }) = *outcome;
+        let Some(place) = self.waiting.iter().position(|waiting| waiting.0 == seq) else { return };
+        let Some((_, received_ns)) = self.waiting.remove(place) else { return };
+        if let Outcome::Inserted { .. } = outcome {
+            self.ns.saturating_record(u64::try_from(clock::monotonic_ns() - received_ns).unwrap_or(0));
         }
     }
 }

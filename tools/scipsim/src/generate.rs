@@ -4,11 +4,15 @@ use crate::noise::Random;
 use crate::world::{Arc, Circle, Course, Frame, Move, Person, Rectangle, Robot, Surface, World, WorldError};
 
 /// Kinds of worlds and what they are.
-pub const KINDS: [(&str, &str); 4] = [
+pub const KINDS: [(&str, &str); 5] = [
     ("hall", "a walkway around an atrium of glass, as in the paper"),
     ("corridor", "a corridor with panes, mirrors and doors of steel in its walls, out and back"),
     ("office", "a ring of corridors with glass offices"),
     ("lobby", "a large room with pillars, showcases, a glass front and many people"),
+    (
+        "floor",
+        "an office floor of 120 x 60 m: eight blocks of rooms, the corridors between them, out and back in 400 m",
+    ),
 ];
 
 /// A world is made again with another seed if the robot would run into something, so often.
@@ -26,6 +30,7 @@ impl World {
                 "corridor" => maker.corridor(),
                 "office" => maker.office(),
                 "lobby" => maker.lobby(),
+                "floor" => maker.floor(),
                 _ => {
                     let known: Vec<&str> = KINDS.iter().map(|k| k.0).collect();
                     return Err(invalid(format!("no such kind; known are {}", known.join(", "))));
@@ -331,6 +336,48 @@ impl Maker {
             let lane = if self.random.chance(0.5) { 0.45 } else { width - 0.45 };
             let ring = [[lane, lane], [lane, h - lane], [w - lane, h - lane], [w - lane, lane]];
             self.person(&ring, Course::Loop);
+        }
+    }
+
+    fn floor(&mut self) {
+        const SIZE: [f64; 2] = [120.0, 60.0];
+        const BLOCKS: [usize; 2] = [4, 2];
+        let width = self.random.uniform(2.2, 2.8);
+        let [w, h] = SIZE;
+        self.wall_with_features([0.0, 0.0], [1.0, 0.0], [0.0, -1.0], w);
+        self.wall_with_features([w, 0.0], [0.0, 1.0], [1.0, 0.0], h);
+        self.wall_with_features([w, h], [-1.0, 0.0], [0.0, 1.0], w);
+        self.wall_with_features([0.0, h], [0.0, -1.0], [-1.0, 0.0], h);
+        let side = |axis: usize| (SIZE[axis] - width) / BLOCKS[axis] as f64 - width;
+        let (bw, bh) = (side(0), side(1));
+        let corridor = |axis: usize, number: usize| (side(axis) + width) * number as f64;
+        for (i, j) in (0..BLOCKS[0]).flat_map(|i| (0..BLOCKS[1]).map(move |j| (i, j))) {
+            let (x0, y0) = (corridor(0, i) + width, corridor(1, j) + width);
+            let (x1, y1) = (x0 + bw, y0 + bh);
+            self.wall_with_features([x0, y0], [1.0, 0.0], [0.0, 1.0], bw);
+            self.wall_with_features([x1, y0], [0.0, 1.0], [-1.0, 0.0], bh);
+            self.wall_with_features([x1, y1], [-1.0, 0.0], [0.0, -1.0], bw);
+            self.wall_with_features([x0, y1], [0.0, -1.0], [1.0, 0.0], bh);
+        }
+        // Where steel takes the whole of its place, no wall is left beside it. The other kinds are tried again instead: to be
+        // spared of it so many times over would take luck.
+        let is_point = |line: &Vec<[f64; 2]>| line.windows(2).any(|ends| ends[0] == ends[1]);
+        self.world.surfaces.retain(|surface| !surface.line.as_ref().is_some_and(is_point));
+        // Crossings of corridors, by number: most corridors once, the western one whole.
+        let crossings =
+            [[2, 0], [4, 0], [4, 1], [3, 1], [3, 2], [2, 2], [2, 1], [1, 1], [1, 2], [0, 2], [0, 0]];
+        let place = |[i, j]: [usize; 2]| {
+            [corridor(0, i) + width / 2.0, corridor(1, j) + width / 2.0].map(millimetres)
+        };
+        self.world.robot.path = crossings.map(place).into();
+        self.world.robot.closed = true;
+        self.world.robot.corner_radius = 0.6;
+        for _ in 0..6 + self.random.below(6) {
+            let aside = if self.random.chance(0.5) { 0.45 } else { width - 0.45 };
+            let (i, j) = (self.random.below(BLOCKS[0]), self.random.below(BLOCKS[1]));
+            let ring = [[i, j], [i, j + 1], [i + 1, j + 1], [i + 1, j]];
+            let path = ring.map(|[i, j]| [corridor(0, i) + aside, corridor(1, j) + aside]);
+            self.person(&path, Course::Loop);
         }
     }
 
