@@ -5,10 +5,10 @@ use anyhow::{Context, Result};
 use clap::ValueEnum;
 use scipsim::{SimulationOptions, World, generate::KINDS};
 
-/// Seeds of generated worlds that rules may be tuned on, with all shipped worlds.
+/// Seeds of generated worlds that rules may be tuned on, with all shipped worlds. 3, 4 and 201 to 203 were looked at for it too.
 const TUNING: [u64; 2] = [1, 2];
 /// Seeds of generated worlds that no rule and no number was ever chosen by.
-const VALIDATION: [u64; 3] = [201, 202, 203];
+const VALIDATION: [u64; 3] = [301, 302, 303];
 
 /// A set of worlds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
