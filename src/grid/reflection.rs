@@ -261,3 +261,32 @@ impl Visagge {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn glass_reflects_a_little_ahead_and_nearly_all_at_grazing_incidence() {
+        let percent = |degrees: f64| (100.0 * glass_reflects(degrees.to_radians())).round();
+        // 4 % a face and once more inside: the paper's 8 %.
+        assert_eq!([0.0, 45.0, 60.0, 80.0, 89.9].map(percent), [8.0, 17.0, 30.0, 70.0, 100.0]);
+    }
+
+    #[test]
+    fn what_is_explained_makes_a_surface_opaque_and_what_cannot_be_known_says_nothing() {
+        let votes = |explained: usize, unexplained: usize, unknown: usize| {
+            let mut opacity = Opacity::default();
+            (0..explained).for_each(|_| opacity.vote(Image::IfOpaque((3, 4))));
+            (0..unexplained).for_each(|_| opacity.vote(Image::Unexplained((4, 4))));
+            (0..unknown).for_each(|_| opacity.vote(Image::Unknown((3, 5))));
+            opacity
+        };
+        let mirror = votes(80, 20, 300);
+        assert!(mirror.is_image(Image::IfOpaque((3, 4))) && mirror.is_image(Image::Unknown((3, 5))));
+        assert!(!mirror.is_image(Image::Unexplained((3, 4))), "somebody who has moved on");
+        assert!(!mirror.is_image(Image::IfOpaque((30, 4))), "another surface");
+        let pane = votes(50, 50, 0);
+        assert!(!pane.is_image(Image::IfOpaque((3, 4))) && pane.is_image(Image::Yes));
+    }
+}

@@ -12,6 +12,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 /// Cells around a tile whose surfaces reach into it.
 const MARGIN: i32 = 24;
 const WINDOW: i32 = SIDE + 2 * MARGIN;
+const _: () = assert!(WINDOW <= 128 && PATCH <= MARGIN);
 /// Half the side of the square in which the first patch is sought (cells).
 const PATCH: i32 = 8;
 /// Half the length of that patch (m).
@@ -126,6 +127,8 @@ pub struct Window {
     origin: CellIndex,
     resolution: f64,
     slots: Vec<u16>,
+    /// A bit for each cell with evidence, a word a row.
+    rows: [u128; WINDOW as usize],
     cells: Vec<Neighbour>,
 }
 
@@ -137,6 +140,7 @@ impl Window {
             origin: CellIndex { x: corner.x - MARGIN, y: corner.y - MARGIN },
             resolution: grid.resolution,
             slots: vec![u16::MAX; (WINDOW * WINDOW) as usize],
+            rows: [0; WINDOW as usize],
             cells: Vec::new(),
         };
         for (dx, dy) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))) {
@@ -148,6 +152,7 @@ impl Window {
                 let index = cell.index(place);
                 if let Some(slot) = window.slot(index) {
                     window.slots[slot] = window.cells.len() as u16;
+                    window.rows[slot / WINDOW as usize] |= 1 << (slot % WINDOW as usize);
                     window.cells.push(Neighbour {
                         at: window.centroid(index, cell),
                         seen_from: cell.visible.range.middle(),
@@ -251,9 +256,18 @@ impl Window {
     }
 
     fn near(&self, index: CellIndex, seen_from: Angle, same_view: u32) -> impl Iterator<Item = &Neighbour> {
-        (-PATCH..=PATCH)
-            .flat_map(|dy| (-PATCH..=PATCH).map(move |dx| (dx, dy)))
-            .filter_map(move |(dx, dy)| self.at(CellIndex { x: index.x + dx, y: index.y + dy }))
+        // A tile's cells are farther from the window's border than that.
+        let (left, bottom) = (index.x - self.origin.x - PATCH, index.y - self.origin.y - PATCH);
+        (bottom..=bottom + 2 * PATCH)
+            .flat_map(move |row| {
+                let mut found = self.rows[row as usize] >> left & ((2 << (2 * PATCH)) - 1);
+                std::iter::from_fn(move || {
+                    let column = (found != 0).then(|| left + found.trailing_zeros() as i32)?;
+                    found &= found - 1;
+                    Some((row * WINDOW + column) as usize)
+                })
+            })
+            .map(|slot| &self.cells[usize::from(self.slots[slot])])
             .filter(move |neighbour| neighbour.seen_from.distance(seen_from) <= same_view)
     }
 }

@@ -180,8 +180,10 @@ impl Visagge {
         evidence.mirrors = [0; 64];
         evidence.has_mirrors = false;
         for (cell, judgement) in evidence.cells.iter().zip(&mut evidence.judgements) {
-            // What was never missed is solid and nothing is seen through it: its surface does not matter.
-            let matters = cell.occupancy >= LEAST_HITS && (cell.widest_missed > 0 || cell.was_crossed);
+            // Of what is shown in any case and nothing is seen through, the surface does not matter.
+            let is_shown = is_solid(cell) || cell.passes > 0;
+            let is_seen_through = u32::from(cell.widest_missed) >= units(SEEN_THROUGH);
+            let matters = cell.occupancy >= LEAST_HITS && (!is_shown || is_seen_through);
             let line = if matters {
                 let index = cell.index(place);
                 let plane = window.surface(index, cell, units(OF_PLANE));
@@ -195,14 +197,17 @@ impl Visagge {
             let [column, row] = cell.place;
             if judgement.shape.is_shown() {
                 evidence.shown[usize::from(row)] |= 1 << column;
-                if u32::from(cell.widest_missed) >= units(SEEN_THROUGH)
-                    && line.is_some_and(|line| line.is_flat())
-                {
+                if is_seen_through && line.is_some_and(|line| line.is_flat()) {
                     evidence.mirrors[usize::from(row)] |= 1 << column;
                     evidence.has_mirrors = true;
                 }
             }
         }
+        let mirrors = &evidence.mirrors;
+        evidence.near_mirrors = std::array::from_fn(|row| {
+            let beside = [row.wrapping_sub(1), row + 1].map(|row| mirrors.get(row).copied().unwrap_or(0));
+            mirrors[row] | mirrors[row] << 1 | mirrors[row] >> 1 | beside[0] | beside[1]
+        });
     }
 }
 
@@ -243,11 +248,36 @@ mod tests {
     use super::*;
     use crate::{
         grid::{
+            angle::{Angle, AngleRange},
             sweep::{Sweep, tests::half_circle},
             visagge::VisaggeSettings,
         },
         pose::pose,
     };
+
+    #[test]
+    fn a_pane_is_flat_alone_and_seen_about_its_normal() {
+        let pane = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0 };
+        let seen = |from: f64, to: f64| {
+            let mut cell = Cell::new([0, 0], true);
+            let start = Angle::from_rad(from.to_radians());
+            cell.visible.range = AngleRange { start, width: units((to - from).to_radians()) as u16 };
+            cell
+        };
+        assert!(explains(&pane, &seen(-1.0, 1.0)));
+        assert!(explains(&pane, &seen(179.0, 182.0)), "from behind");
+        assert!(explains(&Line { rms: 0.03, ..pane }, &seen(3.0, 5.0)));
+        assert!(!explains(&pane, &seen(6.0, 7.0)), "somebody who walks by");
+        assert!(explains(&pane, &seen(-2.0, 16.0)), "dust, to one side");
+        assert!(!explains(&pane, &seen(-2.0, 40.0)), "a wall beside");
+        let front = Line { length: 2.0, ..pane };
+        assert!(explains(&front, &seen(8.0, 20.0)), "dust, where the robot's image outshines the glint");
+        assert!(!explains(&Line { rms: 0.03, ..front }, &seen(8.0, 20.0)));
+        assert!(!explains(&front, &seen(17.0, 20.0)));
+        assert!(!explains(&Line { share: 0.8, ..pane }, &seen(-1.0, 1.0)), "two legs");
+        assert!(!explains(&Line { length: 0.25, ..pane }, &seen(-1.0, 1.0)), "one leg");
+        assert!(!explains(&Line { rms: 0.05, ..pane }, &seen(-1.0, 1.0)), "a bag");
+    }
 
     #[test]
     fn the_map_does_not_depend_on_when_it_was_asked_for() {

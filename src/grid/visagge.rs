@@ -109,6 +109,8 @@ pub(super) struct Evidence {
     pub(super) shown: [u64; SIDE as usize],
     /// A bit for each of these that something may be seen through or in, a word a row.
     pub(super) mirrors: [u64; SIDE as usize],
+    /// A bit for each cell that is one of these or beside one, a word a row.
+    pub(super) near_mirrors: [u64; SIDE as usize],
     /// Whether there is any such cell.
     pub(super) has_mirrors: bool,
 }
@@ -123,6 +125,7 @@ impl Default for Evidence {
             judgements: Vec::new(),
             shown: [0; SIDE as usize],
             mirrors: [0; SIDE as usize],
+            near_mirrors: [0; SIDE as usize],
             has_mirrors: false,
         }
     }
@@ -186,6 +189,9 @@ impl Evidence {
 
     /// The cell in this column and row, or beside, if something may be seen through it or in it.
     pub(super) fn mirror_at(&self, column: usize, row: usize) -> Option<(&Cell, &Judgement)> {
+        if self.near_mirrors[row] >> column & 1 == 0 {
+            return None;
+        }
         let beside = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
         let (column, row) =
             beside.into_iter().map(|(x, y)| (column as i32 + x, row as i32 + y)).find(|&(x, y)| {
