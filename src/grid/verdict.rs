@@ -4,8 +4,8 @@
 //! for a moment, from a narrow range of angles. The verdict tells them apart after one. What was hardly
 //! ever missed is solid. What was missed must be explained as a surface that is visible near its normal
 //! only: the neighbouring cells must form a flat patch whose normal is the direction from which they were
-//! seen (paper IV-C gives the reason, and a weaker test). And what is the image of something else in a mapped surface is
-//! not there at all.
+//! seen, with nothing else seen from there right before or behind it (paper IV-C gives the reason, and a
+//! weaker test). And what is the image of something else in a mapped surface is not there at all.
 
 use super::{
     angle::units,
