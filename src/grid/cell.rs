@@ -112,6 +112,12 @@ impl Cell {
         tile.cell(usize::from(self.place[0]), usize::from(self.place[1]))
     }
 
+    /// Mean place of its returns in the map (m), in a grid of this resolution (m), `index` being its place there.
+    pub fn returns_at(&self, index: CellIndex, resolution: f64) -> [f64; 2] {
+        let [x, y] = self.centroid.map(f64::from);
+        [(f64::from(index.x) + x) * resolution, (f64::from(index.y) + y) * resolution]
+    }
+
     /// Core step 1: a return at this place in the cell (cells, 0..1).
     pub fn record_hit(&mut self, at: [f32; 2], scan: u32, time: f32, rule: &Rule) {
         if self.hits == 0 {

@@ -1,15 +1,6 @@
 //! What a grid knows of the world, as points in metres: for who looks for a place in it.
 
-use super::{
-    angle::units,
-    cell::Cell,
-    tiles::{CellIndex, SIDE},
-    visagge::Visagge,
-};
-
-/// A surface that was missed over no more than this can not be seen through (rad): 1 degree. A wall at grazing incidence has
-/// as much.
-const OPAQUE: f64 = 0.02;
+use super::{angle::units, verdict::SEEN_THROUGH, visagge::Visagge};
 
 /// What a grid knows.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -44,32 +35,23 @@ impl Visagge {
     /// What is shown, and what is free.
     pub fn known(&mut self) -> KnownPlaces {
         self.decide();
-        let place = |index: CellIndex, cell: &Cell| {
-            let [x, y] = cell.centroid.map(f64::from);
-            [(f64::from(index.x) + x) * self.resolution, (f64::from(index.y) + y) * self.resolution]
-        };
+        let resolution = self.resolution;
         let shown = |wanted: bool| {
             self.cells()
                 .filter(move |(.., judgement)| judgement.verdict.is_shown() == wanted)
                 .map(|(index, cell, _)| (index, cell))
         };
         let surfaces = shown(true).map(|(index, cell)| KnownSurface {
-            at: place(index, cell),
+            at: cell.returns_at(index, resolution),
             seen_from: cell.visible.range.middle().rad(),
             hits: cell.hits,
-            is_opaque: u32::from(cell.widest_missed) <= units(OPAQUE),
+            is_opaque: u32::from(cell.widest_missed) <= units(SEEN_THROUGH),
         });
-        let side = SIDE as usize;
-        let crossed = self.tiles.iter().flat_map(|(place, tile)| {
-            (0..side * side)
-                .filter(move |cell| tile.free[cell / side] >> (cell % side) & 1 == 1)
-                .map(move |cell| place.cell(cell % side, cell / side))
-        });
-        let middle = |at: i32| (f64::from(at) + 0.5) * self.resolution;
+        let middle = |at: i32| (f64::from(at) + 0.5) * resolution;
         KnownPlaces {
             surfaces: surfaces.collect(),
-            free: crossed.map(|index| [middle(index.x), middle(index.y)]).collect(),
-            doubtful: shown(false).map(|(index, cell)| place(index, cell)).collect(),
+            free: self.crossed().map(|index| [middle(index.x), middle(index.y)]).collect(),
+            doubtful: shown(false).map(|(index, cell)| cell.returns_at(index, resolution)).collect(),
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::{
     cell::Cell,
     standard::Standard,
-    tiles::{CellIndex, SIDE, TileIndex},
+    tiles::{CellIndex, SIDE},
     visagge::Visagge,
     visits::Visits,
 };
@@ -63,21 +63,22 @@ impl Visagge {
         }
     }
 
+    /// The cells that a beam has crossed.
+    pub(super) fn crossed(&self) -> impl Iterator<Item = CellIndex> {
+        let side = SIDE as usize;
+        self.tiles.iter().flat_map(move |(place, tile)| {
+            (0..side * side)
+                .filter(move |cell| tile.free[cell / side] >> (cell % side) & 1 == 1)
+                .map(move |cell| place.cell(cell % side, cell / side))
+        })
+    }
+
     /// The map as it is now.
     pub fn map(&mut self) -> Map {
         self.decide();
-        let free = |place: TileIndex, rows: &[u64; SIDE as usize]| {
-            let rows = *rows;
-            (0..SIDE as usize).flat_map(move |row| {
-                (0..SIDE as usize)
-                    .filter(move |column| rows[row] >> column & 1 == 1)
-                    .map(move |column| place.cell(column, row))
-            })
-        };
-        let crossed = || self.tiles.iter().flat_map(move |(place, tile)| free(place, &tile.free));
-        let frame = Frame::around(crossed().chain(self.cells().map(|(index, ..)| index)));
+        let frame = Frame::around(self.crossed().chain(self.cells().map(|(index, ..)| index)));
         let mut map = frame.map(self.resolution);
-        for cell in crossed() {
+        for cell in self.crossed() {
             map.occupancy[frame.place(cell)] = 0;
         }
         let mut bytes =

@@ -154,7 +154,7 @@ impl Window {
                     window.slots[slot] = window.cells.len() as u16;
                     window.rows[slot / WINDOW as usize] |= 1 << (slot % WINDOW as usize);
                     window.cells.push(Neighbour {
-                        at: window.centroid(index, cell),
+                        at: cell.returns_at(index, grid.resolution),
                         seen_from: cell.visible.range.middle(),
                         weight: f64::from(cell.occupancy.min(WEIGHT)),
                         is_solid: is_solid(cell),
@@ -168,7 +168,7 @@ impl Window {
     /// The surface through a cell, from the cells around it that were seen from the same direction, give or take
     /// `same_view` (units of [`Angle`]): the patch of 0.8 m, or more of it along the line as far as it stays flat.
     pub fn surface(&self, index: CellIndex, cell: &Cell, same_view: u32) -> Option<Line> {
-        let origin = self.centroid(index, cell);
+        let origin = cell.returns_at(index, self.resolution);
         let seen_from = cell.visible.range.middle();
         let (sin, cos) = seen_from.rad().sin_cos();
         let mut moments = Moments::default();
@@ -238,12 +238,6 @@ impl Window {
             }
         }
         moments.line(origin)
-    }
-
-    /// Mean place of a cell's returns (m).
-    fn centroid(&self, index: CellIndex, cell: &Cell) -> [f64; 2] {
-        let [x, y] = cell.centroid.map(f64::from);
-        [(f64::from(index.x) + x) * self.resolution, (f64::from(index.y) + y) * self.resolution]
     }
 
     fn slot(&self, index: CellIndex) -> Option<usize> {

@@ -80,7 +80,7 @@ const STRAIGHT: f32 = 0.02;
 
 /// Something is seen through a surface, or in it, that was missed over at least this range (rad): 1 degree. Less is a
 /// wall at grazing incidence.
-const SEEN_THROUGH: f64 = 0.02;
+pub(super) const SEEN_THROUGH: f64 = 0.02;
 /// What is shown on both sides of a gap must begin within this many cells: a quarter of a metre, less than half a
 /// door or a person's width.
 const GAP: i32 = 5;

@@ -221,8 +221,6 @@ impl Evidence {
                 continue;
             }
             self.slots[slot(cell.place)] = NONE;
-            self.shown[usize::from(cell.place[1])] &= !(1 << cell.place[0]);
-            self.mirrors[usize::from(cell.place[1])] &= !(1 << cell.place[0]);
             self.cells.swap_remove(number);
             self.judgements.swap_remove(number);
             let last = self.cells.len();
