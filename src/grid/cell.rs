@@ -6,6 +6,7 @@ use super::{
     angle::{Angle, AngleRange, atan2},
     tiles::{CellIndex, TileIndex},
     track::{Event, Track, UNITS_PER_M},
+    view::SEEN_AGAIN,
 };
 
 /// The rule of the core algorithm, in numbers.
@@ -86,7 +87,9 @@ pub struct Cell {
     /// The widest such range apart from `visible`; empty where `way` is negative.
     pub visible_too: Visible,
     /// The widest range of misses that it survived.
-    pub widest_missed: u16,
+    pub missed: AngleRange,
+    /// Whether it was seen after that.
+    pub seen_again: bool,
 }
 
 impl Cell {
@@ -103,7 +106,8 @@ impl Cell {
             hit_time: [0.0; 2],
             visible: Visible::default(),
             visible_too: Visible { way: -1.0, ..Visible::default() },
-            widest_missed: 0,
+            missed: AngleRange::default(),
+            seen_again: false,
         }
     }
 
@@ -147,7 +151,8 @@ impl Cell {
     /// Takes over what is known of its view angles by now.
     pub fn settle(&mut self, track: &Track) {
         [self.visible, self.visible_too] = track.visibles();
-        self.widest_missed = track.widest_missed;
+        self.missed = track.missed;
+        self.seen_again = track.place & SEEN_AGAIN != 0;
     }
 
     /// Time from its first return to its last (s).

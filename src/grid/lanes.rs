@@ -139,7 +139,7 @@ mod avx2 {
     use crate::grid::{
         angle::{ATAN, ROUNDER},
         track::{Block, Event, LANES, Run, Sectors, TENTH, UNITS_PER_M},
-        view::{HIT, INVERSE, LEAST_DISTANCE, Lens},
+        view::{HIT, INVERSE, LEAST_DISTANCE, Lens, SEEN_AGAIN},
         visagge::Glance,
     };
     use std::{arch::x86_64::*, f32::consts};
@@ -318,9 +318,10 @@ mod avx2 {
             sector.store(&mut block.visible_too, keep(becomes_too));
             set_way(&mut block.way_too, glance.way, keep(becomes_too));
         }
-        let widest = load(&block.widest_missed);
         let width = _mm256_max_epu16(sector.width, words(1));
-        store(&mut block.widest_missed, _mm256_max_epu16(widest, _mm256_and_si256(width, keep(survived))));
+        let is_widest = keep(_mm256_andnot_si256(at_least(load(&block.missed_width), width), survived));
+        blend(&mut block.missed_start, sector.start, is_widest);
+        blend(&mut block.missed_width, width, is_widest);
 
         // Of what is unsure, a run of observation is left, and the number of misses; of what is hidden nothing.
         let run_now = _mm256_or_si256(
@@ -337,7 +338,12 @@ mod avx2 {
         // Lanes that are left to the scalar path have followed, or what they were does not matter.
         store(&mut block.run, _mm256_blendv_epi8(run_now, run, closely));
         store(&mut block.missed_scans, _mm256_blendv_epi8(missed_scans_now, missed_scans, closely));
-        store(&mut block.place, _mm256_and_si256(place, _mm256_or_si256(closely, words(!HIT))));
+        let seen_again = _mm256_and_si256(keep(seen), words(SEEN_AGAIN));
+        let unmarked = _mm256_or_si256(
+            _mm256_and_si256(plainly, words(HIT)),
+            _mm256_and_si256(is_widest, words(SEEN_AGAIN)),
+        );
+        store(&mut block.place, _mm256_or_si256(_mm256_andnot_si256(unmarked, place), seen_again));
         _mm256_movemask_epi8(closely) as u32
     }
 

@@ -150,7 +150,7 @@ fn explained(grid: &Visagge, point: [f64; 2], sensor: [f64; 2], range: f64, bear
     cross(grid, sensor, point, range, |index, cell, line, distance| {
         // What was always seen from this direction was not seen through.
         let inside = cell.visible.range.depth(AngleRange::at(seen_from), 0);
-        if cell.widest_missed == 0 || inside > units(INSIDE) as i32 {
+        if cell.missed.width == 0 || inside > units(INSIDE) as i32 {
             return false;
         }
         let block = (index.x.div_euclid(BLOCK), index.y.div_euclid(BLOCK));

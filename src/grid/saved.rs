@@ -10,6 +10,7 @@ use super::{
     cell::Cell,
     tiles::{SIDE, TileIndex},
     track::{Sector, Track},
+    view::SEEN_AGAIN,
     visagge::{Visagge, VisaggeSettings},
 };
 use serde::{Deserialize, Serialize};
@@ -71,7 +72,9 @@ pub struct SavedCell {
     pub hit_scan: u32,
     pub visible: SavedSector,
     pub visible_too: Option<SavedSector>,
-    pub widest_missed: u16,
+    /// Clockwise end and width (units of [`Angle`]).
+    pub missed: [u16; 2],
+    pub seen_again: bool,
     pub centroid: [f32; 2],
     pub hit_time: [f32; 2],
 }
@@ -97,14 +100,17 @@ pub struct BadGrid {
     pub what: &'static str,
 }
 
+fn range([start, width]: [u16; 2]) -> AngleRange {
+    AngleRange { start: Angle(start), width }
+}
+
 impl SavedSector {
     fn of(sector: &Sector, way: f32) -> Self {
         Self { range: [sector.range.start.0, sector.range.width], ends: sector.ends, way }
     }
 
     fn sector(self) -> Sector {
-        let [start, width] = self.range;
-        Sector { range: AngleRange { start: Angle(start), width }, ends: self.ends }
+        Sector { range: range(self.range), ends: self.ends }
     }
 
     fn is_sound(&self) -> bool {
@@ -124,7 +130,8 @@ impl SavedCell {
             hit_scan: cell.hit_scan,
             visible: SavedSector::of(&track.visible, track.way),
             visible_too: too.exists().then(|| SavedSector::of(&too, track.way_too)),
-            widest_missed: track.widest_missed,
+            missed: [track.missed.start.0, track.missed.width],
+            seen_again: track.place & SEEN_AGAIN != 0,
             centroid: cell.centroid,
             hit_time: cell.hit_time,
         }
@@ -143,7 +150,8 @@ impl SavedCell {
             way: self.visible.way,
             visible_too: self.visible_too.map(SavedSector::sector).unwrap_or_default(),
             way_too: self.visible_too.map_or(0.0, |too| too.way),
-            widest_missed: self.widest_missed,
+            missed: range(self.missed),
+            place: if self.seen_again { SEEN_AGAIN } else { 0 },
             ..Track::default()
         };
         (cell, track)
@@ -314,7 +322,7 @@ mod tests {
             assert!(going_on.map().occupancy.iter().filter(|cell| **cell == 100).count() > 20);
             let saved = going_on.save();
             let mut cells = saved.tiles.iter().flat_map(|tile| tile.cells.iter().flatten());
-            assert!(cells.any(|cell| cell.widest_missed > 1000 && cell.visible.range[1] > 0), "the pane");
+            assert!(cells.any(|cell| cell.missed[1] > 1000 && cell.visible.range[1] > 0), "the pane");
         }
     }
 

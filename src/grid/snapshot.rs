@@ -89,6 +89,7 @@ impl Visagge {
             "visible_width",
             "visible_too_start",
             "visible_too_width",
+            "missed_start",
             "missed_width",
         ]
         .map(|name| (name, vec![0u16; frame.area()]));
@@ -113,7 +114,8 @@ impl Visagge {
                 cell.visible.range.width,
                 too.start.0,
                 too.width,
-                cell.widest_missed,
+                cell.missed.start.0,
+                cell.missed.width,
             ];
             for ((_, layer), value) in words.iter_mut().zip(values) {
                 layer[place] = value;
@@ -137,7 +139,7 @@ impl Visagge {
 
 /// Percentage of the view angles that a cell was missed from, among those it was looked at from.
 fn specularity(cell: &Cell) -> i8 {
-    let (missed, visible) = (u32::from(cell.widest_missed), u32::from(cell.visible.range.width));
+    let (missed, visible) = (u32::from(cell.missed.width), u32::from(cell.visible.range.width));
     (100 * missed / (missed + visible).max(1)) as i8
 }
 

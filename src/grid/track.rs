@@ -8,7 +8,7 @@
 use super::{
     angle::{Angle, AngleRange, whole},
     cell::{Rule, Visible},
-    view::{HIT, Observation, Place},
+    view::{HIT, Observation, Place, SEEN_AGAIN},
 };
 
 /// Units of distance in a metre. 15 bits then hold 64 m, and 2 mm are less than any error.
@@ -91,7 +91,7 @@ pub enum Event {
 /// One cell's part of a [`Block`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Track {
-    /// Place in the tile, and whether this scan hit it.
+    /// Place in the tile, and marks.
     pub place: Place,
     /// What goes on.
     pub run: Run,
@@ -108,7 +108,7 @@ pub struct Track {
     /// Way driven at the last observation of `visible_too` (m).
     pub way_too: f32,
     /// The widest range of misses, phi_MISS, that it survived.
-    pub widest_missed: u16,
+    pub missed: AngleRange,
 }
 
 impl Track {
@@ -169,6 +169,7 @@ impl Track {
             again && i32::from(before.range.width) > rule.explained(look.way - self.way, look.range)
         };
         self.go_on(Run::Seen, look);
+        self.place |= SEEN_AGAIN;
         self.missed_scans = 0;
         let (run, width) = (self.sector, self.sector.range.width);
         if run.range.meets(self.visible.range, rule.half_beam) || !rule.two_ranges {
@@ -201,7 +202,10 @@ impl Track {
         if contradicts(&self.visible, self.way) || contradicts(&self.visible_too, self.way_too) {
             return Event::Contradiction;
         }
-        self.widest_missed = self.widest_missed.max(missed.width.max(1));
+        if missed.width.max(1) > self.missed.width {
+            self.missed = AngleRange { start: missed.start, width: missed.width.max(1) };
+            self.place &= !SEEN_AGAIN;
+        }
         Event::None
     }
 
@@ -259,7 +263,8 @@ pub struct Block {
     pub(super) missed_scans: [u16; LANES],
     pub(super) visible: Sectors,
     pub(super) visible_too: Sectors,
-    pub(super) widest_missed: [u16; LANES],
+    pub(super) missed_start: [u16; LANES],
+    pub(super) missed_width: [u16; LANES],
     pub(super) way: [f32; LANES],
     pub(super) way_too: [f32; LANES],
 }
@@ -280,7 +285,7 @@ impl Block {
             way: self.way[lane],
             visible_too: self.visible_too.get(lane),
             way_too: self.way_too[lane],
-            widest_missed: self.widest_missed[lane],
+            missed: AngleRange { start: Angle(self.missed_start[lane]), width: self.missed_width[lane] },
         }
     }
 
@@ -300,7 +305,8 @@ impl Block {
         self.way[lane] = track.way;
         self.visible_too.set(lane, track.visible_too);
         self.way_too[lane] = track.way_too;
-        self.widest_missed[lane] = track.widest_missed;
+        self.missed_start[lane] = track.missed.start.0;
+        self.missed_width[lane] = track.missed.width;
     }
 }
 
@@ -368,7 +374,21 @@ mod tests {
         assert_eq!(drive.pass(0, 40, 0..=2), 0);
         assert_eq!(drive.pass(-40, 40, -1..=2), 0);
         assert_eq!(drive.cell.occupancy, 7);
-        assert!(u32::from(drive.track.widest_missed) >= units(37f64.to_radians()));
+        assert!(u32::from(drive.track.missed.width) >= units(37f64.to_radians()));
+    }
+
+    #[test]
+    fn what_is_missed_to_the_end_was_not_seen_again() {
+        let mut drive = Drive::new(0.0);
+        drive.pass(0, 40, 0..=2);
+        assert_eq!(drive.track.missed.start, Angle::from_rad(3f64.to_radians()));
+        assert_eq!(drive.track.place & SEEN_AGAIN, 0);
+        drive.pass(0, 1, 0..=1);
+        assert_eq!(drive.track.place & SEEN_AGAIN, SEEN_AGAIN);
+        drive.pass(41, 10, 0..=0);
+        assert_eq!(drive.track.place & SEEN_AGAIN, SEEN_AGAIN, "a narrower range of misses");
+        drive.pass(-40, -2, 0..=0);
+        assert_eq!(drive.track.place & SEEN_AGAIN, 0, "a wider one");
     }
 
     #[test]
@@ -411,7 +431,7 @@ mod tests {
                 drive.track.record(Observation::Hidden, &drive.look(f64::from(degrees)), &RULE);
             }
         }
-        assert!(drive.track.widest_missed <= 1);
+        assert!(drive.track.missed.width <= 1);
     }
 
     #[test]

@@ -23,7 +23,7 @@ pub enum Verdict {
     /// Not judged yet.
     #[default]
     None = 0,
-    /// Shown: seen whenever it could be, or nearly so.
+    /// Shown: seen whenever it could be, or nearly so, and not missed ever since.
     Solid = 1,
     /// Shown: part of a flat surface that is visible near its normal.
     Surface = 2,
@@ -33,7 +33,7 @@ pub enum Verdict {
     Bridged = 4,
     /// Not shown: too few returns.
     TooFew = 10,
-    /// Not shown: missed, and part of no surface that could explain why. Somebody passed.
+    /// Not shown: missed, and part of no surface that could explain why. Somebody passed, or something was taken away.
     NoSurface = 11,
     /// Not shown: the image, in a mapped surface, of something else or of the robot.
     Image = 12,
@@ -90,6 +90,11 @@ const GAP: i32 = 5;
 const WIDE: f64 = 0.17;
 /// Or if its returns came over at least this time (s): nobody who walks stays in a cell for a second.
 const LASTING: f32 = 1.0;
+/// What was solid has been taken away if it was missed over this range (rad) and never seen again: 3 degrees, the error of a view
+/// angle at 1 m.
+const GONE: f64 = 0.05;
+/// Incidence from which on a wall that is still there may return nothing (rad): 75 degrees, where some return three times in ten.
+const GRAZING: f64 = 1.31;
 
 impl Visagge {
     /// Judges all cells, from their observations alone: a verdict does not depend on the one before, so the map does not
@@ -181,8 +186,8 @@ impl Visagge {
         evidence.has_mirrors = false;
         for (cell, judgement) in evidence.cells.iter().zip(&mut evidence.judgements) {
             // Of what is shown in any case and nothing is seen through, the surface does not matter.
-            let is_shown = is_solid(cell) || cell.passes > 0;
-            let is_seen_through = u32::from(cell.widest_missed) >= units(SEEN_THROUGH);
+            let is_shown = is_solid(cell) && !is_gone(cell, None) || cell.passes > 0;
+            let is_seen_through = u32::from(cell.missed.width) >= units(SEEN_THROUGH);
             let matters = cell.occupancy >= LEAST_HITS && (!is_shown || is_seen_through);
             let line = if matters {
                 let index = cell.index(place);
@@ -214,7 +219,7 @@ impl Visagge {
 /// Whether the cell returned whenever it could, or nearly so.
 pub(super) fn is_solid(cell: &Cell) -> bool {
     let width = u32::from(cell.visible.range.width);
-    width >= 2 * u32::from(cell.widest_missed)
+    width >= 2 * u32::from(cell.missed.width)
         && (!cell.was_crossed || width >= units(WIDE) || cell.lasted() >= LASTING)
 }
 
@@ -230,11 +235,17 @@ fn explains(line: &Line, cell: &Cell) -> bool {
         && beyond <= most_beyond
 }
 
+/// Whether the cell was missed to the end, and not for being looked at along the surface through it.
+fn is_gone(cell: &Cell, line: Option<&Line>) -> bool {
+    let is_grazing = line.is_some_and(|line| line.off_normal(cell.missed.middle().rad()) > GRAZING);
+    u32::from(cell.missed.width) >= units(GONE) && !cell.seen_again && !is_grazing
+}
+
 fn shape(cell: &Cell, line: Option<&Line>) -> Verdict {
     if cell.occupancy < LEAST_HITS {
         return Verdict::TooFew;
     }
-    if is_solid(cell) {
+    if is_solid(cell) && !is_gone(cell, line) {
         return Verdict::Solid;
     }
     if cell.passes > 0 {
@@ -277,6 +288,23 @@ mod tests {
         assert!(!explains(&Line { share: 0.8, ..pane }, &seen(-1.0, 1.0)), "two legs");
         assert!(!explains(&Line { length: 0.25, ..pane }, &seen(-1.0, 1.0)), "one leg");
         assert!(!explains(&Line { rms: 0.05, ..pane }, &seen(-1.0, 1.0)), "a bag");
+    }
+
+    #[test]
+    fn what_is_missed_to_the_end_where_it_would_return_has_gone() {
+        let box_ = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0 };
+        let missed = |from: f64, seen_again| {
+            let mut cell = Cell::new([0, 0], false);
+            cell.occupancy = 9;
+            cell.visible.range = AngleRange { start: Angle(0), width: units(1.0) as u16 };
+            let start = Angle::from_rad(from.to_radians());
+            cell.missed = AngleRange { start, width: units(5f64.to_radians()) as u16 };
+            cell.seen_again = seen_again;
+            shape(&cell, Some(&box_))
+        };
+        assert_eq!(missed(-50.0, false), Verdict::NoSurface);
+        assert_eq!(missed(-50.0, true), Verdict::Solid);
+        assert_eq!(missed(-85.0, false), Verdict::Solid, "along its face");
     }
 
     #[test]

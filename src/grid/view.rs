@@ -121,10 +121,12 @@ pub(super) const LEAST_DISTANCE: f32 = 1e-3;
 /// 1 / (1 + s) for s in 0..1, as a polynomial of s: off by 0.008 at most.
 pub(super) const INVERSE: [f32; 3] = [0.9926, -0.8284, 0.3431];
 
-/// Place of a cell in its tile: 64 times its row, plus its column. The highest bit marks cells that were hit.
+/// Place of a cell in its tile: 64 times its row, plus its column. Higher bits are marks.
 pub type Place = u16;
-/// See [`Place`].
+/// Mark of a [`Place`]: this scan hit the cell.
 pub const HIT: Place = 1 << 15;
+/// Mark of a [`Place`]: the cell was seen after it was missed over its widest range.
+pub const SEEN_AGAIN: Place = 1 << 14;
 
 /// What the beams that cross a cell have in common ([`UNITS_PER_M`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -175,10 +175,11 @@ impl Evidence {
         }
     }
 
-    /// Takes these cells, which lie at different places.
+    /// Takes these cells, which lie at different places; of the places of their tracks only the marks count.
     pub(super) fn fill(&mut self, cells: impl Iterator<Item = (Cell, Track)>) {
         for (cell, track) in cells {
-            self.add(cell, Track { place: slot(cell.place) as Place, ..track });
+            let place = slot(cell.place) as Place | track.place;
+            self.add(cell, Track { place, ..track });
         }
     }
 
