@@ -36,12 +36,12 @@ impl Visagge {
     pub fn known(&mut self) -> KnownPlaces {
         self.decide();
         let resolution = self.resolution;
-        let shown = |wanted: bool| {
+        let cells = |there: bool| {
             self.cells()
-                .filter(move |(.., judgement)| judgement.verdict.is_shown() == wanted)
+                .filter(move |(.., judgement)| judgement.verdict.is_there() == there)
                 .map(|(index, cell, _)| (index, cell))
         };
-        let surfaces = shown(true).map(|(index, cell)| KnownSurface {
+        let surfaces = cells(true).map(|(index, cell)| KnownSurface {
             at: cell.returns_at(index, resolution),
             seen_from: cell.visible.range.middle().rad(),
             hits: cell.hits,
@@ -51,7 +51,7 @@ impl Visagge {
         KnownPlaces {
             surfaces: surfaces.collect(),
             free: self.crossed().map(|index| [middle(index.x), middle(index.y)]).collect(),
-            doubtful: shown(false).map(|(index, cell)| cell.returns_at(index, resolution)).collect(),
+            doubtful: cells(false).map(|(index, cell)| cell.returns_at(index, resolution)).collect(),
         }
     }
 }

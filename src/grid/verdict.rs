@@ -37,12 +37,19 @@ pub enum Verdict {
     NoSurface = 11,
     /// Not shown: the image, in a mapped surface, of something else or of the robot.
     Image = 12,
+    /// Not shown: beside a surface that is drawn where its line runs.
+    Beside = 13,
 }
 
 impl Verdict {
     /// Whether the cell is shown as occupied.
     pub fn is_shown(self) -> bool {
         (Verdict::Solid as u8..Verdict::TooFew as u8).contains(&(self as u8))
+    }
+
+    /// Whether returns in it come from something that stands there, though it may be drawn in a cell beside.
+    pub fn is_there(self) -> bool {
+        self.is_shown() || self == Verdict::Beside
     }
 }
 
@@ -95,6 +102,9 @@ const LASTING: f32 = 1.0;
 const GONE: f64 = 0.05;
 /// Incidence from which on a wall that is still there may return nothing (rad): 75 degrees, where some return three times in ten.
 const GRAZING: f64 = 1.31;
+/// What is solid is left beside a line unless the cell on the line was hit so many times as often: where a wall's face runs along the
+/// border of two cells, either is right.
+const OUTWEIGHS: u16 = 2;
 
 impl Visagge {
     /// Judges all cells, from their observations alone: a verdict does not depend on the one before, so the map does not
@@ -105,6 +115,7 @@ impl Visagge {
         }
         self.bridge_gaps();
         self.judge_images();
+        self.hide_beside();
     }
 
     /// Shows cells in the gaps of what is shown. A pane is seen cell by cell, for a few scans each: where somebody stands in
@@ -145,6 +156,43 @@ impl Visagge {
         let (place, column, row) = index.split();
         let evidence = self.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
         evidence.is_some_and(|evidence| evidence.shown[row] >> column & 1 == 1)
+    }
+
+    /// Draws surfaces where their lines run: cells beside are not shown if those on the line are. Ranges and poses spread the returns
+    /// of a pane over two or three cells side by side.
+    fn hide_beside(&mut self) {
+        let mut beside = Vec::new();
+        for number in 0..self.tiles.len() {
+            let place = self.tiles.place(number);
+            let Some(evidence) = &self.tiles.at(number).evidence else { continue };
+            for (at, (cell, judgement)) in evidence.cells.iter().zip(&evidence.judgements).enumerate() {
+                if judgement.verdict.is_shown() && self.is_beside(cell.index(place), cell, judgement) {
+                    beside.push((number, at));
+                }
+            }
+        }
+        for (number, at) in beside {
+            let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("the cell is in it");
+            evidence.judgements[at].verdict = Verdict::Beside;
+        }
+    }
+
+    fn is_beside(&self, index: CellIndex, cell: &Cell, judgement: &Judgement) -> bool {
+        let Some(line) = judgement.line.filter(|line| line.is_flat() && line.length >= LEAST_LENGTH) else {
+            return false;
+        };
+        let middle = [index.x, index.y].map(|at| (f64::from(at) + 0.5) * self.resolution);
+        let foot = line.foot(middle);
+        let on_line = CellIndex::of(foot[0], foot[1], self.resolution);
+        let (place, column, row) = on_line.split();
+        let evidence = self.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
+        let found = evidence.and_then(|evidence| evidence.at(column, row));
+        on_line != index
+            && found.is_some_and(|(other, judged)| {
+                judged.verdict.is_shown()
+                    && (judgement.verdict != Verdict::Solid
+                        || other.hits > cell.hits.saturating_mul(OUTWEIGHS))
+            })
     }
 
     fn judge_images(&mut self) {
@@ -261,6 +309,8 @@ mod tests {
         grid::{
             angle::{Angle, AngleRange},
             sweep::{Sweep, tests::half_circle},
+            tiles::TileIndex,
+            track::Track,
             visagge::VisaggeSettings,
         },
         pose::pose,
@@ -305,6 +355,29 @@ mod tests {
         assert_eq!(missed(-50.0, false), Verdict::NoSurface);
         assert_eq!(missed(-50.0, true), Verdict::Solid);
         assert_eq!(missed(-85.0, false), Verdict::Solid, "along its face");
+    }
+
+    #[test]
+    fn a_surface_is_drawn_where_its_line_runs() {
+        // Two columns of cells side by side; the line runs along the middle of the second one.
+        let line = Line { at: [0.075, 0.3], normal: 0.0, rms: 0.02, length: 0.6, share: 1.0 };
+        let drawn = |verdict: Verdict, hits: [u16; 2]| {
+            let mut grid = Visagge::new(0.05, VisaggeSettings::default());
+            let number = grid.tiles.find_or_make(TileIndex { x: 0, y: 0 });
+            let evidence = grid.tiles.at_mut(number).evidence.get_or_insert_default();
+            let cells = [0, 1].map(|column| {
+                let mut cell = Cell::new([column, 5], false);
+                cell.hits = hits[usize::from(column)];
+                (cell, Track::default())
+            });
+            evidence.fill(cells.into_iter());
+            evidence.judgements.fill(Judgement { line: Some(line), verdict, ..Judgement::default() });
+            grid.hide_beside();
+            grid.cells().map(|(.., judgement)| judgement.verdict.is_shown()).collect::<Vec<_>>()
+        };
+        assert_eq!(drawn(Verdict::Surface, [9, 4]), [false, true]);
+        assert_eq!(drawn(Verdict::Solid, [9, 18]), [true, true], "a wall along the border of both");
+        assert_eq!(drawn(Verdict::Solid, [9, 19]), [false, true]);
     }
 
     #[test]

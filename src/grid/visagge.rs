@@ -198,6 +198,11 @@ impl Evidence {
             beside.into_iter().map(|(x, y)| (column as i32 + x, row as i32 + y)).find(|&(x, y)| {
                 (0..SIDE).contains(&x) && (0..SIDE).contains(&y) && self.mirrors[y as usize] >> x & 1 == 1
             })?;
+        self.at(column as usize, row as usize)
+    }
+
+    /// The cell in this column and row, with what was last judged of it.
+    pub(super) fn at(&self, column: usize, row: usize) -> Option<(&Cell, &Judgement)> {
         let number = usize::from(self.slots[slot([column as u8, row as u8])]);
         self.cells.get(number).zip(self.judgements.get(number))
     }
