@@ -16,7 +16,7 @@ const SPECULAR: Colour = [0, 70, 255];
 const INK: Colour = [0, 0, 0];
 
 /// Colours of explain.png: strong where the cell is shown, pale where it is not.
-const VERDICTS: [(Verdict, Colour); 7] = [
+const VERDICTS: [(Verdict, Colour); 8] = [
     (Verdict::Solid, INK),
     (Verdict::Surface, [0, 70, 255]),
     (Verdict::Repeated, [0, 140, 60]),
@@ -24,6 +24,7 @@ const VERDICTS: [(Verdict, Colour); 7] = [
     (Verdict::TooFew, [215, 215, 160]),
     (Verdict::NoSurface, [255, 150, 140]),
     (Verdict::Image, [240, 150, 240]),
+    (Verdict::Beside, [205, 190, 170]),
 ];
 
 /// `Map::visibility` from which a cell counts as specular: missed from a quarter of the directions that
