@@ -118,7 +118,7 @@ impl Visagge {
         // Afterwards, so that no cell is held by one that is bridged itself.
         for (number, at) in bridged {
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("the cell is in it");
-            let [column, row] = evidence.cells[at].place;
+            let [column, row] = evidence.cells.returns[at].place;
             evidence.shown[usize::from(row)] |= 1 << column;
             evidence.judgements[at].shape = Verdict::Bridged;
         }
@@ -150,7 +150,7 @@ impl Visagge {
             let judged = evidence.cells.iter().zip(&evidence.judgements);
             let images: Vec<Image> = judged
                 .map(|(cell, judgement)| {
-                    if judgement.shape.is_shown() { reflection::image(self, place, cell) } else { Image::No }
+                    if judgement.shape.is_shown() { reflection::image(self, place, &cell) } else { Image::No }
                 })
                 .collect();
             images.iter().for_each(|image| opacity.vote(*image));
@@ -160,7 +160,8 @@ impl Visagge {
             }
         }
         for number in 0..self.tiles.len() {
-            let judged = self.tiles.at_mut(number).evidence.iter_mut().flat_map(Evidence::judged);
+            let judged =
+                self.tiles.at_mut(number).evidence.as_deref_mut().into_iter().flat_map(Evidence::judged);
             for (_, judgement) in judged {
                 judgement.verdict =
                     if opacity.is_image(judgement.image) { Verdict::Image } else { judgement.shape };
@@ -181,19 +182,19 @@ impl Visagge {
         evidence.has_mirrors = false;
         for (cell, judgement) in evidence.cells.iter().zip(&mut evidence.judgements) {
             // Of what is shown in any case and nothing is seen through, the surface does not matter.
-            let is_shown = is_solid(cell) || cell.passes > 0;
+            let is_shown = is_solid(&cell) || cell.passes > 0;
             let is_seen_through = u32::from(cell.widest_missed) >= units(SEEN_THROUGH);
             let matters = cell.occupancy >= LEAST_HITS && (!is_shown || is_seen_through);
             let line = if matters {
                 let index = cell.index(place);
-                let plane = window.surface(index, cell, units(OF_PLANE));
+                let plane = window.surface(index, &cell, units(OF_PLANE));
                 plane
-                    .filter(|line| explains(line, cell))
-                    .or_else(|| window.surface(index, cell, units(OF_PILLAR)))
+                    .filter(|line| explains(line, &cell))
+                    .or_else(|| window.surface(index, &cell, units(OF_PILLAR)))
             } else {
                 None
             };
-            *judgement = Judgement { line, shape: shape(cell, line.as_ref()), ..Judgement::default() };
+            *judgement = Judgement { line, shape: shape(&cell, line.as_ref()), ..Judgement::default() };
             let [column, row] = cell.place;
             if judgement.shape.is_shown() {
                 evidence.shown[usize::from(row)] |= 1 << column;
@@ -249,7 +250,9 @@ mod tests {
     use crate::{
         grid::{
             angle::{Angle, AngleRange},
+            cell::Returns,
             sweep::{Sweep, tests::half_circle},
+            track::Track,
             visagge::VisaggeSettings,
         },
         pose::pose,
@@ -259,7 +262,7 @@ mod tests {
     fn a_pane_is_flat_alone_and_seen_about_its_normal() {
         let pane = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0 };
         let seen = |from: f64, to: f64| {
-            let mut cell = Cell::new([0, 0], true);
+            let mut cell = Cell::of(&Returns::new([0, 0], true), &Track::default());
             let start = Angle::from_rad(from.to_radians());
             cell.visible.range = AngleRange { start, width: units((to - from).to_radians()) as u16 };
             cell
