@@ -84,6 +84,10 @@ fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
     };
     config.mapper.poses = config.pose.source.pose_use();
     config.mapper.fallback = config.pose.fallback;
+    if *config.pose.source.socket() == PoseSource::None {
+        // None will come.
+        config.mapper.pose_wait = 0.0;
+    }
     if config.pose.source == PoseSource::None {
         warn!("no scan will be mapped without poses; --pose SRC says where they come from");
     }

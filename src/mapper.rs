@@ -95,7 +95,7 @@ pub struct MapperSettings {
     pub mount: Mount,
     /// Beams that show the robot itself: first and last of each group, counted from 0. Default none.
     pub ignore_beams: Vec<[usize; 2]>,
-    /// How long a scan waits for a pose later than its last beam (s, 0..10). Default 0.5.
+    /// How long a scan waits for a pose later than its last beam (s, 0..10). Default 0.5; live, 0 where no poses can come.
     pub pose_wait: f64,
     /// Poses farther apart than this are not interpolated (s, 0..10). Default 0.25.
     pub pose_gap: f64,

@@ -181,6 +181,13 @@ pub struct FileInfo {
     pub info: SessionInfo,
 }
 
+impl FileInfo {
+    /// What the metadata record of a file tells, where it can be read.
+    pub fn of(session: &mcap::records::Metadata) -> Option<FileInfo> {
+        serde_json::from_str(session.metadata.get("json")?).ok()
+    }
+}
+
 /// How and what to record.
 #[derive(Clone, Debug)]
 pub struct RecorderSettings {

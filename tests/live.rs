@@ -134,6 +134,8 @@ fn with_the_scanner_alone_the_replay_finds_the_same_poses() {
         assert!(report["scans_inserted"].as_u64().unwrap() > 50, "{report:#}");
         assert_eq!(report["localization"]["state"], "tracking", "{report:#}");
         assert_eq!(report["poses_read"].as_u64().unwrap() > 100, name == "guided", "{report:#}");
+        // Odometry that cannot come is not waited for.
+        assert_eq!(report["settings"]["mapper"]["pose_wait"] == 0.0, name == "alone");
 
         let files = recordings(&at(&format!("{name}-recordings")));
         let replayed = format!("{name}-replayed");

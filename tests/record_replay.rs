@@ -140,6 +140,8 @@ struct Live {
     outcomes: Vec<Outcome>,
     received: Vec<u8>,
     described: bool,
+    /// What the mapper gives to the recorder, as late as it comes at all.
+    held_back: Option<Vec<Record>>,
 }
 
 impl Live {
@@ -166,11 +168,15 @@ impl Live {
             outcomes: Vec::new(),
             received: Vec::new(),
             described: false,
+            held_back: None,
         }
     }
 
     fn record(&mut self, record: Record) {
-        self.recorder.write(&record).unwrap();
+        match &mut self.held_back {
+            Some(held_back) if !matches!(record, Record::Bytes { .. }) => held_back.push(record),
+            _ => self.recorder.write(&record).unwrap(),
+        }
     }
 
     fn record_bytes(&mut self, direction: Direction, monotonic_ns: i64, data: Vec<u8>) {
@@ -231,6 +237,7 @@ impl Live {
     fn end(mut self) -> (Map, Vec<Outcome>, RecorderReport, Vec<u8>) {
         self.mapper.finish();
         self.take_outcomes();
+        self.held_back.take().unwrap_or_default().into_iter().for_each(|record| self.record(record));
         let map = self.mapper.map();
         self.record(Record::Map(Arc::new(map.clone())));
         (map, self.outcomes, self.recorder.close().unwrap(), self.received)
@@ -286,6 +293,18 @@ fn the_replay_is_the_run() {
 }
 
 #[test]
+fn poses_may_be_recorded_long_after_the_scans_that_need_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut live = Live { held_back: Some(Vec::new()), ..Live::create(folder.path(), i64::MAX) };
+    // As many as the mapper may be behind.
+    happenings(480).into_iter().for_each(|happening| live.happen(happening));
+    let (map, outcomes, report, _) = live.end();
+    let (map_again, outcomes_again, _) = replayed(&report.files, None);
+    assert_eq!(outcomes_again, outcomes);
+    assert!(map_again == map, "the maps differ");
+}
+
+#[test]
 fn rotated_files_are_one_run_in_any_order_and_each_can_be_read_alone() {
     let folder = tempfile::tempdir().unwrap();
     let (map, outcomes, report, _) = live(folder.path(), 400, 3 * SECOND);
@@ -298,6 +317,23 @@ fn rotated_files_are_one_run_in_any_order_and_each_can_be_read_alone() {
     assert!(map_again == map, "the maps differ");
     let (_, alone, replay) = replayed(&files[1..2], None);
     assert!(inserted(&alone) > 60, "{} of {}: {:?}", inserted(&alone), alone.len(), replay.input);
+}
+
+#[test]
+fn behind_a_file_that_is_missing_poses_and_scans_are_together_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_, outcomes, report, _) = live(folder.path(), 400, 3 * SECOND);
+    let (first, second) = (&report.files[0], &report.files[2]);
+    let (_, some, replay) = replayed(&[first.clone(), second.clone()], None);
+    let lost = outcomes.len() - some.len();
+    assert!(lost > 60, "{lost}");
+    let not_inserted = some.len() - inserted(&some);
+    assert!(
+        not_inserted < 25,
+        "{not_inserted} of {}: {:?}",
+        some.len(),
+        replay.mapper.report().scans_skipped
+    );
 }
 
 #[test]

@@ -62,9 +62,9 @@ impl Visible {
     }
 }
 
-/// A cell with evidence: at least one return landed in it.
+/// What a cell knows of its returns: all that is kept of it beside its [`Track`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Cell {
+pub struct Returns {
     /// Column and row in its tile.
     pub place: [u8; 2],
     /// Hits less contradictions, at most [`Rule::cap`]; the cell goes when this reaches 0.
@@ -81,21 +81,12 @@ pub struct Cell {
     pub centroid: [f32; 2],
     /// When the first and the last return landed in it (s since the first scan).
     pub(super) hit_time: [f32; 2],
-    /// phi_VIS: the widest range from which it was continuously observed. This and what follows are as of the last map: scans
-    /// change them in [`Track`] only.
-    pub visible: Visible,
-    /// The widest such range apart from `visible`; empty where `way` is negative.
-    pub visible_too: Visible,
-    /// The widest range of misses that it survived.
-    pub missed: AngleRange,
-    /// Whether it was seen after that.
-    pub seen_again: bool,
 }
 
-impl Cell {
-    /// A cell of which nothing is known but that returns are about to land in it.
-    pub fn new(place: [u8; 2], was_crossed: bool) -> Cell {
-        Cell {
+impl Returns {
+    /// Of a cell in which returns are about to land.
+    pub fn new(place: [u8; 2], was_crossed: bool) -> Returns {
+        Returns {
             place,
             occupancy: 0,
             passes: 0,
@@ -104,22 +95,7 @@ impl Cell {
             hit_scan: 0,
             centroid: [0.5; 2],
             hit_time: [0.0; 2],
-            visible: Visible::default(),
-            visible_too: Visible { way: -1.0, ..Visible::default() },
-            missed: AngleRange::default(),
-            seen_again: false,
         }
-    }
-
-    /// Its place in the map, in this tile.
-    pub fn index(&self, tile: TileIndex) -> CellIndex {
-        tile.cell(usize::from(self.place[0]), usize::from(self.place[1]))
-    }
-
-    /// Mean place of its returns in the map (m), in a grid of this resolution (m), `index` being its place there.
-    pub fn returns_at(&self, index: CellIndex, resolution: f64) -> [f64; 2] {
-        let [x, y] = self.centroid.map(f64::from);
-        [(f64::from(index.x) + x) * resolution, (f64::from(index.y) + y) * resolution]
     }
 
     /// Core step 1: a return at this place in the cell (cells, 0..1).
@@ -147,12 +123,66 @@ impl Cell {
             Event::Contradiction => self.occupancy = self.occupancy.saturating_sub(rule.contradiction),
         }
     }
+}
 
-    /// Takes over what is known of its view angles by now.
-    pub fn settle(&mut self, track: &Track) {
-        [self.visible, self.visible_too] = track.visibles();
-        self.missed = track.missed;
-        self.seen_again = track.place & SEEN_AGAIN != 0;
+/// A cell with evidence, at least one return landed in it, and all that is known of it by now. For who judges and shows it: it is
+/// kept as [`Returns`] and a [`Track`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cell {
+    /// See [`Returns`].
+    pub place: [u8; 2],
+    /// See [`Returns`].
+    pub occupancy: u8,
+    /// See [`Returns`].
+    pub passes: u8,
+    /// See [`Returns`].
+    pub hits: u16,
+    /// See [`Returns`].
+    pub was_crossed: bool,
+    /// See [`Returns`].
+    pub centroid: [f32; 2],
+    /// See [`Returns`].
+    pub(super) hit_time: [f32; 2],
+    /// phi_VIS: the widest range from which it was continuously observed.
+    pub visible: Visible,
+    /// The widest such range apart from `visible`; empty where `way` is negative.
+    pub visible_too: Visible,
+    /// The widest range of misses that it survived.
+    pub missed: AngleRange,
+    /// Whether it was seen after that.
+    pub seen_again: bool,
+}
+
+impl Cell {
+    /// The cell of which this is kept.
+    #[inline(always)]
+    pub fn of(returns: &Returns, track: &Track) -> Cell {
+        let &Returns { place, occupancy, passes, hits, was_crossed, centroid, hit_time, .. } = returns;
+        let [visible, visible_too] = track.visibles();
+        Cell {
+            place,
+            occupancy,
+            passes,
+            hits,
+            was_crossed,
+            centroid,
+            hit_time,
+            visible,
+            visible_too,
+            missed: track.missed,
+            seen_again: track.place & SEEN_AGAIN != 0,
+        }
+    }
+
+    /// Its place in the map, in this tile.
+    pub fn index(&self, tile: TileIndex) -> CellIndex {
+        tile.cell(usize::from(self.place[0]), usize::from(self.place[1]))
+    }
+
+    /// Mean place of its returns in the map (m), in a grid of this resolution (m), `index` being its place there.
+    pub fn returns_at(&self, index: CellIndex, resolution: f64) -> [f64; 2] {
+        let [x, y] = self.centroid.map(f64::from);
+        [(f64::from(index.x) + x) * resolution, (f64::from(index.y) + y) * resolution]
     }
 
     /// Time from its first return to its last (s).

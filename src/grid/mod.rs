@@ -2,6 +2,7 @@
 
 pub mod angle;
 pub mod cell;
+mod cells;
 pub mod free;
 pub mod known;
 mod lanes;
@@ -11,6 +12,7 @@ pub mod rays;
 mod reflection;
 pub mod saved;
 mod single_pass;
+mod slots;
 mod snapshot;
 pub mod standard;
 pub mod surface;

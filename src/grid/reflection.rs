@@ -213,7 +213,7 @@ fn cross(
                 break;
             }
             let crossed = evidence.mirror_at(column, row);
-            let visited = crossed.is_some_and(|(cell, judgement)| {
+            let visited = crossed.as_ref().is_some_and(|(cell, judgement)| {
                 judgement.line.as_ref().is_some_and(|line| visit(index, cell, line, distance))
             });
             if visited {

@@ -7,7 +7,7 @@
 
 use super::{
     angle::{Angle, AngleRange},
-    cell::Cell,
+    cell::Returns,
     tiles::{SIDE, TileIndex},
     track::{Sector, Track},
     view::SEEN_AGAIN,
@@ -119,7 +119,7 @@ impl SavedSector {
 }
 
 impl SavedCell {
-    fn of((cell, track): (&Cell, Track)) -> Self {
+    fn of((cell, track): (&Returns, Track)) -> Self {
         let too = track.visible_too;
         Self {
             place: cell.place,
@@ -137,8 +137,8 @@ impl SavedCell {
         }
     }
 
-    fn cell(&self) -> (Cell, Track) {
-        let mut cell = Cell::new(self.place, self.was_crossed);
+    fn cell(&self) -> (Returns, Track) {
+        let mut cell = Returns::new(self.place, self.was_crossed);
         cell.occupancy = self.occupancy;
         cell.passes = self.passes;
         cell.hits = self.hits;
@@ -219,7 +219,7 @@ impl Visagge {
         let tiles = self.tiles.iter().map(|(place, tile)| SavedTile {
             place: [place.x, place.y],
             free: tile.free.to_vec(),
-            cells: tile.evidence.as_ref().map(|evidence| evidence.tracked().map(SavedCell::of).collect()),
+            cells: tile.evidence.as_ref().map(|evidence| evidence.cells.kept().map(SavedCell::of).collect()),
         });
         SavedGrid {
             resolution: self.resolution,

@@ -45,7 +45,8 @@ impl Visagge {
         }
         for number in 0..self.tiles.len() {
             let place = self.tiles.place(number);
-            for (cell, judgement) in self.tiles.at_mut(number).evidence.iter_mut().flat_map(Evidence::judged)
+            for (cell, judgement) in
+                self.tiles.at_mut(number).evidence.as_deref_mut().into_iter().flat_map(Evidence::judged)
             {
                 judgement.verdict = match occupied.get(&cell.index(place)) {
                     Some(None) => Verdict::Solid,

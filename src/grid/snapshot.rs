@@ -55,7 +55,6 @@ impl Frame {
 impl Visagge {
     /// Decides which cells are shown.
     pub(super) fn decide(&mut self) {
-        self.settle();
         if self.as_in_the_paper {
             self.remove_motion();
         } else {
@@ -97,7 +96,7 @@ impl Visagge {
             let place = frame.place(index);
             if judgement.verdict.is_shown() {
                 map.occupancy[place] = 100;
-                map.visibility[place] = specularity(cell);
+                map.visibility[place] = specularity(&cell);
             }
             for ((_, layer), value) in bytes.iter_mut().zip([
                 cell.occupancy,

@@ -158,7 +158,7 @@ impl Window {
             let Some(evidence) = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref()) else {
                 continue;
             };
-            for cell in &evidence.cells {
+            for cell in evidence.cells.iter() {
                 let index = cell.index(place);
                 if let Some(slot) = window.slot(index) {
                     window.slots[slot] = window.cells.len() as u16;
@@ -167,7 +167,7 @@ impl Window {
                         at: cell.returns_at(index, grid.resolution),
                         seen_from: cell.visible.range.middle(),
                         weight: f64::from(cell.occupancy.min(WEIGHT)),
-                        is_solid: is_solid(cell),
+                        is_solid: is_solid(&cell),
                     });
                 }
             }

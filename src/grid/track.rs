@@ -313,7 +313,7 @@ impl Block {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grid::{angle::units, cell::Cell};
+    use crate::grid::{angle::units, cell::Returns};
 
     const RULE: Rule = Rule {
         contradiction: 5,
@@ -327,7 +327,7 @@ mod tests {
     };
 
     struct Drive {
-        cell: Cell,
+        cell: Returns,
         track: Track,
         way: f32,
     }
@@ -338,7 +338,7 @@ mod tests {
         }
 
         fn new(degrees: f64) -> Drive {
-            let mut drive = Drive { cell: Cell::new([0, 0], true), track: Track::default(), way: 0.0 };
+            let mut drive = Drive { cell: Returns::new([0, 0], true), track: Track::default(), way: 0.0 };
             drive.track = Track::new(0, &drive.look(degrees));
             drive
         }

@@ -134,7 +134,7 @@ impl Visagge {
         // Afterwards, so that no cell is held by one that is bridged itself.
         for (number, at) in bridged {
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("the cell is in it");
-            let [column, row] = evidence.cells[at].place;
+            let [column, row] = evidence.cells.returns[at].place;
             evidence.shown[usize::from(row)] |= 1 << column;
             evidence.judgements[at].shape = Verdict::Bridged;
         }
@@ -166,7 +166,7 @@ impl Visagge {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
             for (at, (cell, judgement)) in evidence.cells.iter().zip(&evidence.judgements).enumerate() {
-                if judgement.verdict.is_shown() && self.is_beside(cell.index(place), cell, judgement) {
+                if judgement.verdict.is_shown() && self.is_beside(cell.index(place), &cell, judgement) {
                     beside.push((number, at));
                 }
             }
@@ -203,7 +203,7 @@ impl Visagge {
             let judged = evidence.cells.iter().zip(&evidence.judgements);
             let images: Vec<Image> = judged
                 .map(|(cell, judgement)| {
-                    if judgement.shape.is_shown() { reflection::image(self, place, cell) } else { Image::No }
+                    if judgement.shape.is_shown() { reflection::image(self, place, &cell) } else { Image::No }
                 })
                 .collect();
             images.iter().for_each(|image| opacity.vote(*image));
@@ -213,7 +213,8 @@ impl Visagge {
             }
         }
         for number in 0..self.tiles.len() {
-            let judged = self.tiles.at_mut(number).evidence.iter_mut().flat_map(Evidence::judged);
+            let judged =
+                self.tiles.at_mut(number).evidence.as_deref_mut().into_iter().flat_map(Evidence::judged);
             for (_, judgement) in judged {
                 judgement.verdict =
                     if opacity.is_image(judgement.image) { Verdict::Image } else { judgement.shape };
@@ -234,19 +235,19 @@ impl Visagge {
         evidence.has_mirrors = false;
         for (cell, judgement) in evidence.cells.iter().zip(&mut evidence.judgements) {
             // Of what is shown in any case and nothing is seen through, the surface does not matter.
-            let is_shown = is_solid(cell) && !is_gone(cell, None) || cell.passes > 0;
+            let is_shown = is_solid(&cell) && !is_gone(&cell, None) || cell.passes > 0;
             let is_seen_through = u32::from(cell.missed.width) >= units(SEEN_THROUGH);
             let matters = cell.occupancy >= LEAST_HITS && (!is_shown || is_seen_through);
             let line = if matters {
                 let index = cell.index(place);
-                let plane = window.surface(index, cell, units(OF_PLANE));
+                let plane = window.surface(index, &cell, units(OF_PLANE));
                 plane
-                    .filter(|line| explains(line, cell))
-                    .or_else(|| window.surface(index, cell, units(OF_PILLAR)))
+                    .filter(|line| explains(line, &cell))
+                    .or_else(|| window.surface(index, &cell, units(OF_PILLAR)))
             } else {
                 None
             };
-            *judgement = Judgement { line, shape: shape(cell, line.as_ref()), ..Judgement::default() };
+            *judgement = Judgement { line, shape: shape(&cell, line.as_ref()), ..Judgement::default() };
             let [column, row] = cell.place;
             if judgement.shape.is_shown() {
                 evidence.shown[usize::from(row)] |= 1 << column;
@@ -308,6 +309,7 @@ mod tests {
     use crate::{
         grid::{
             angle::{Angle, AngleRange},
+            cell::Returns,
             sweep::{Sweep, tests::half_circle},
             tiles::TileIndex,
             track::Track,
@@ -320,7 +322,7 @@ mod tests {
     fn a_pane_is_flat_alone_and_seen_about_its_normal() {
         let pane = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0 };
         let seen = |from: f64, to: f64| {
-            let mut cell = Cell::new([0, 0], true);
+            let mut cell = Cell::of(&Returns::new([0, 0], true), &Track::default());
             let start = Angle::from_rad(from.to_radians());
             cell.visible.range = AngleRange { start, width: units((to - from).to_radians()) as u16 };
             cell
@@ -344,7 +346,7 @@ mod tests {
     fn what_is_missed_to_the_end_where_it_would_return_has_gone() {
         let box_ = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0 };
         let missed = |from: f64, seen_again| {
-            let mut cell = Cell::new([0, 0], false);
+            let mut cell = Cell::of(&Returns::new([0, 0], false), &Track::default());
             cell.occupancy = 9;
             cell.visible.range = AngleRange { start: Angle(0), width: units(1.0) as u16 };
             let start = Angle::from_rad(from.to_radians());
@@ -366,9 +368,9 @@ mod tests {
             let number = grid.tiles.find_or_make(TileIndex { x: 0, y: 0 });
             let evidence = grid.tiles.at_mut(number).evidence.get_or_insert_default();
             let cells = [0, 1].map(|column| {
-                let mut cell = Cell::new([column, 5], false);
-                cell.hits = hits[usize::from(column)];
-                (cell, Track::default())
+                let mut returns = Returns::new([column, 5], false);
+                returns.hits = hits[usize::from(column)];
+                (returns, Track::default())
             });
             evidence.fill(cells.into_iter());
             evidence.judgements.fill(Judgement { line: Some(line), verdict, ..Judgement::default() });

@@ -5,17 +5,19 @@
 
 use super::{
     angle::{Angle, units},
-    cell::{Cell, Rule},
+    cell::{Cell, Returns, Rule},
+    cells::{self, Cells},
     free::Outline,
     lanes::{self, Path, Sights},
     near::Near,
     rays::Rays,
     saved::PAUSE_NS,
+    slots::Slots,
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
-    track::{Block, LANES, Look, Track, distance_units},
+    track::{LANES, Look, Track, distance_units},
     verdict::Judgement,
-    view::{HIT, Place, Tolerance, View},
+    view::{Place, Tolerance, View},
 };
 use serde::{Deserialize, Serialize};
 use std::f64::consts::SQRT_2;
@@ -91,16 +93,11 @@ impl VisaggeSettings {
     }
 }
 
-/// No cell in this place of a tile.
-const NONE: u16 = u16::MAX;
-
 /// The cells with evidence in a tile.
 #[derive(Clone, Debug)]
 pub(super) struct Evidence {
-    slots: Box<[u16; (SIDE * SIDE) as usize]>,
-    pub(super) cells: Vec<Cell>,
-    /// The view angles of `cells`, in the same order: all of them that most scans touch.
-    pub(super) blocks: Vec<Block>,
+    slots: Slots,
+    pub(super) cells: Cells,
     /// The last scan that these were compared with.
     looked_scan: u32,
     /// What was last judged of each of `cells`.
@@ -118,9 +115,8 @@ pub(super) struct Evidence {
 impl Default for Evidence {
     fn default() -> Self {
         Evidence {
-            slots: Box::new([NONE; (SIDE * SIDE) as usize]),
-            cells: Vec::new(),
-            blocks: Vec::new(),
+            slots: Slots::default(),
+            cells: Cells::default(),
             looked_scan: 0,
             judgements: Vec::new(),
             shown: [0; SIDE as usize],
@@ -135,61 +131,23 @@ impl Evidence {
     /// Puts a cell in where there was none, and gives its number.
     #[cold]
     #[inline(never)]
-    fn add(&mut self, cell: Cell, track: Track) -> usize {
+    fn add(&mut self, returns: Returns, track: Track) -> usize {
         let number = self.cells.len();
-        self.slots[slot(cell.place)] = number as u16;
-        if number.is_multiple_of(LANES) && number == self.cells.capacity() {
-            // By a quarter, in whole blocks: twice as much would be half empty.
-            let blocks = (number / LANES).div_ceil(4).max(1);
-            self.cells.reserve_exact(LANES * blocks);
-            self.judgements.reserve_exact(LANES * blocks);
-            self.blocks.reserve_exact(blocks);
-        }
-        self.cells.push(cell);
-        self.judgements.push(Judgement::default());
-        if number.is_multiple_of(LANES) {
-            self.blocks.push(Block::default());
-        }
-        self.blocks[number / LANES].set(number % LANES, track);
+        self.slots.set(place_of(returns.place), number);
+        self.cells.push(returns, track);
+        cells::push(&mut self.judgements, Judgement::default());
         number
     }
 
-    /// Marks the cell with this number as hit.
-    #[inline(always)]
-    fn hit(&mut self, number: usize) -> &mut Cell {
-        self.blocks[number / LANES].place[number % LANES] |= HIT;
-        &mut self.cells[number]
-    }
-
-    /// The view angles of the cell with this number.
-    fn track(&self, number: usize) -> Track {
-        self.blocks[number / LANES].get(number % LANES)
-    }
-
-    /// Lets the cells know what is known of their view angles by now.
-    fn settle(&mut self) {
-        for (cells, block) in self.cells.chunks_mut(LANES).zip(&self.blocks) {
-            for (lane, cell) in cells.iter_mut().enumerate() {
-                cell.settle(&block.get(lane));
-            }
-        }
-    }
-
     /// Takes these cells, which lie at different places; of the places of their tracks only the marks count.
-    pub(super) fn fill(&mut self, cells: impl Iterator<Item = (Cell, Track)>) {
-        for (cell, track) in cells {
-            let place = slot(cell.place) as Place | track.place;
-            self.add(cell, Track { place, ..track });
+    pub(super) fn fill(&mut self, cells: impl Iterator<Item = (Returns, Track)>) {
+        for (returns, track) in cells {
+            self.add(returns, Track { place: place_of(returns.place) | track.place, ..track });
         }
-    }
-
-    /// Each cell with its view angles.
-    pub(super) fn tracked(&self) -> impl Iterator<Item = (&Cell, Track)> {
-        self.cells.iter().enumerate().map(|(number, cell)| (cell, self.track(number)))
     }
 
     /// The cell in this column and row, or beside, if something may be seen through it or in it.
-    pub(super) fn mirror_at(&self, column: usize, row: usize) -> Option<(&Cell, &Judgement)> {
+    pub(super) fn mirror_at(&self, column: usize, row: usize) -> Option<(Cell, &Judgement)> {
         if self.near_mirrors[row] >> column & 1 == 0 {
             return None;
         }
@@ -202,47 +160,43 @@ impl Evidence {
     }
 
     /// The cell in this column and row, with what was last judged of it.
-    pub(super) fn at(&self, column: usize, row: usize) -> Option<(&Cell, &Judgement)> {
-        let number = usize::from(self.slots[slot([column as u8, row as u8])]);
-        self.cells.get(number).zip(self.judgements.get(number))
+    pub(super) fn at(&self, column: usize, row: usize) -> Option<(Cell, &Judgement)> {
+        let number = self.slots.get(place_of([column as u8, row as u8]))?;
+        Some((self.cells.get(number), &self.judgements[number]))
     }
 
     /// Each cell with what was last judged of it.
-    pub(super) fn judged(&mut self) -> impl Iterator<Item = (&Cell, &mut Judgement)> {
+    pub(super) fn judged(&mut self) -> impl Iterator<Item = (Cell, &mut Judgement)> {
         self.cells.iter().zip(&mut self.judgements)
     }
 
-    /// Memory beside the tile itself (bytes).
+    /// Memory that it holds (bytes).
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(&*self.slots)
-            + self.cells.capacity() * (size_of::<Cell>() + size_of::<Judgement>())
-            + self.blocks.capacity() * size_of::<Block>()
+        size_of_val(self)
+            + self.slots.bytes()
+            + self.cells.bytes()
+            + self.judgements.capacity() * size_of::<Judgement>()
     }
 
-    fn retain(&mut self, keep: impl Fn(&Cell) -> bool) {
+    fn retain(&mut self, keep: impl Fn(&Returns) -> bool) {
         let mut number = 0;
-        while let Some(cell) = self.cells.get(number) {
-            if keep(cell) {
+        while let Some(returns) = self.cells.returns.get(number) {
+            if keep(returns) {
                 number += 1;
                 continue;
             }
-            self.slots[slot(cell.place)] = NONE;
+            self.slots.clear(place_of(returns.place));
             self.cells.swap_remove(number);
             self.judgements.swap_remove(number);
-            let last = self.cells.len();
-            let track = self.track(last);
-            self.blocks[number / LANES].set(number % LANES, track);
-            self.blocks[last / LANES].set(last % LANES, Track::default());
-            self.blocks.truncate(last.div_ceil(LANES));
-            if let Some(moved) = self.cells.get(number) {
-                self.slots[slot(moved.place)] = number as u16;
+            if let Some(moved) = self.cells.returns.get(number) {
+                self.slots.set(place_of(moved.place), number);
             }
         }
     }
 }
 
-fn slot(place: [u8; 2]) -> usize {
-    usize::from(place[1]) * SIDE as usize + usize::from(place[0])
+fn place_of([column, row]: [u8; 2]) -> Place {
+    Place::from(row) << 6 | Place::from(column)
 }
 
 /// A scan and a tile that it is compared with.
@@ -270,7 +224,7 @@ pub(super) struct Tile {
     /// A bit for each cell that a beam has crossed, a word a row.
     pub(super) free: [u64; SIDE as usize],
     /// The cells in which returns have landed.
-    pub(super) evidence: Option<Evidence>,
+    pub(super) evidence: Option<Box<Evidence>>,
 }
 
 impl Default for Tile {
@@ -417,17 +371,18 @@ impl Visagge {
             }
             let tile = tiles.at_mut(recent.1);
             let evidence = tile.evidence.get_or_insert_default();
-            let at = row * SIDE as usize + column;
-            let mut number = usize::from(evidence.slots[at]);
-            if number == usize::from(NONE) {
-                let angle = Angle::from_bearing(rays.bearing(beam) + std::f32::consts::PI);
-                let look = Look { angle, range: distance_units(range).max(1), way: self.way };
-                let was_crossed = tile.free[row] >> column & 1 == 1;
-                let cell = Cell::new([column as u8, row as u8], was_crossed);
-                number = evidence.add(cell, Track::new(at as Place, &look));
-            }
-            let cell = evidence.hit(number);
-            cell.record_hit([x - left as f32, y - below as f32], self.scan, self.time, rule);
+            let at = place_of([column as u8, row as u8]);
+            let number = match evidence.slots.get(at) {
+                Some(number) => number,
+                None => {
+                    let angle = Angle::from_bearing(rays.bearing(beam) + std::f32::consts::PI);
+                    let look = Look { angle, range: distance_units(range).max(1), way: self.way };
+                    let was_crossed = tile.free[row] >> column & 1 == 1;
+                    evidence.add(Returns::new([column as u8, row as u8], was_crossed), Track::new(at, &look))
+                }
+            };
+            let returns = evidence.cells.hit(number);
+            returns.record_hit([x - left as f32, y - below as f32], self.scan, self.time, rule);
         }
     }
 
@@ -446,18 +401,19 @@ impl Visagge {
             let glance =
                 Glance { view, corner, resolution: self.resolution as f32, rule, way: self.way, follows };
             let mut removed = false;
-            for (block, sights) in evidence.blocks.iter().zip(&mut **sights) {
+            let Cells { returns, blocks } = &mut evidence.cells;
+            for (block, sights) in blocks.iter().zip(&mut **sights) {
                 P::sights(&glance, block, sights);
             }
-            let cells = evidence.cells.chunks_mut(LANES);
-            for ((block, cells), sights) in evidence.blocks.iter_mut().zip(cells).zip(&**sights) {
-                P::record(&glance, block, sights, cells.len(), |lane, event| {
-                    cells[lane].record(event, rule);
-                    removed |= cells[lane].occupancy == 0;
+            for ((block, returns), sights) in blocks.iter_mut().zip(returns.chunks_mut(LANES)).zip(&**sights)
+            {
+                P::record(&glance, block, sights, returns.len(), |lane, event| {
+                    returns[lane].record(event, rule);
+                    removed |= returns[lane].occupancy == 0;
                 });
             }
             if removed {
-                evidence.retain(|cell| cell.occupancy > 0);
+                evidence.retain(|returns| returns.occupancy > 0);
             }
         }
     }
@@ -488,8 +444,9 @@ impl Visagge {
         let low = CellIndex::of(x - radius, y - radius, self.resolution);
         let high = CellIndex::of(x + radius, y + radius, self.resolution);
         let resolution = self.resolution;
-        let within = |place: TileIndex, cell: &Cell| {
-            let index = cell.index(place);
+        let within = |place: TileIndex, returns: &Returns| {
+            let [column, row] = returns.place.map(usize::from);
+            let index = place.cell(column, row);
             let at = |index: i32| (f64::from(index) + 0.5) * resolution;
             (at(index.x) - x).powi(2) + (at(index.y) - y).powi(2) <= radius * radius
         };
@@ -500,24 +457,15 @@ impl Visagge {
                 && let Some(evidence) = &mut self.tiles.at_mut(number).evidence
             {
                 // Nearly always nothing is there.
-                if evidence.cells.iter().any(|cell| within(place, cell)) {
-                    evidence.retain(|cell| !within(place, cell));
+                if evidence.cells.returns.iter().any(|returns| within(place, returns)) {
+                    evidence.retain(|returns| !within(place, returns));
                 }
             }
         }
     }
 
-    /// Lets all cells know what is known of their view angles by now.
-    pub(super) fn settle(&mut self) {
-        for number in 0..self.tiles.len() {
-            if let Some(evidence) = &mut self.tiles.at_mut(number).evidence {
-                evidence.settle();
-            }
-        }
-    }
-
     /// All cells with evidence.
-    pub(super) fn cells(&self) -> impl Iterator<Item = (CellIndex, &Cell, &Judgement)> {
+    pub(super) fn cells(&self) -> impl Iterator<Item = (CellIndex, Cell, &Judgement)> {
         self.tiles.iter().flat_map(|(place, tile)| {
             tile.evidence.iter().flat_map(move |evidence| {
                 let judged = evidence.cells.iter().zip(&evidence.judgements);
@@ -552,25 +500,25 @@ mod tests {
                 let corner = self.view.corner(self.tiles.place(number), self.resolution);
                 let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
                 for number in 0..evidence.cells.len() {
-                    let mut track = evidence.track(number);
-                    let cell = &mut evidence.cells[number];
+                    let mut track = evidence.cells.track(number);
+                    let returns = &mut evidence.cells.returns[number];
                     if self.scan - evidence.looked_scan > 1 {
                         track.end_run();
                     }
                     let at =
-                        |axis: usize| corner[axis] + f32::from(cell.place[axis]) * self.resolution as f32;
+                        |axis: usize| corner[axis] + f32::from(returns.place[axis]) * self.resolution as f32;
                     let sight = self.view.sight(at(0), at(1));
                     let look = Look { angle: sight.angle, range: sight.range, way: self.way };
-                    let observation = if cell.hit_scan == self.scan {
+                    let observation = if returns.hit_scan == self.scan {
                         Observation::Seen
                     } else {
                         self.view.observe(&sight, || track.would_return(sight.range))
                     };
-                    cell.record(track.record(observation, &look, &rule), &rule);
-                    evidence.blocks[number / LANES].set(number % LANES, track);
+                    returns.record(track.record(observation, &look, &rule), &rule);
+                    evidence.cells.blocks[number / LANES].set(number % LANES, track);
                 }
                 evidence.looked_scan = self.scan;
-                evidence.retain(|cell| cell.occupancy > 0);
+                evidence.retain(|returns| returns.occupancy > 0);
             }
             self.record_free();
             self.free_body();
@@ -595,18 +543,16 @@ mod tests {
         [-0.2..0.2, -0.2..0.2, -0.3..0.3]
     }
 
-    type Contents = Vec<(TileIndex, [u64; SIDE as usize], Vec<(Cell, Track)>)>;
+    type Contents = Vec<(TileIndex, [u64; SIDE as usize], Vec<(Returns, Track)>)>;
 
     fn contents(grid: &Visagge) -> Contents {
         let cells = |tile: &Tile| {
             let evidence = tile.evidence.iter();
             evidence
-                .flat_map(|evidence| {
-                    evidence.cells.iter().enumerate().map(|(number, cell)| (*cell, evidence.track(number)))
-                })
+                .flat_map(|evidence| evidence.cells.kept())
                 // Of tiles that were left out, runs end when they are looked at again.
-                .map(|(cell, track)| {
-                    (cell, Track { run: Run::None, sector: Sector::default(), missed_scans: 0, ..track })
+                .map(|(returns, track)| {
+                    (*returns, Track { run: Run::None, sector: Sector::default(), missed_scans: 0, ..track })
                 })
                 .collect()
         };

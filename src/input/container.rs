@@ -196,34 +196,33 @@ pub fn visit_all(
 
 /// Opens files as a recording of this program, or else as a bag.
 pub fn open(
-    mut files: Vec<PathBuf>,
+    files: Vec<PathBuf>,
     options: &InputOptions,
     report: &mut InputReport,
 ) -> Result<Box<dyn Source>, InputError> {
     let mut looks = Vec::new();
-    for path in &files {
-        looks.push(look(path)?);
+    for path in files {
+        looks.push((look(&path, report)?, path));
     }
-    let mut order: Vec<usize> = (0..files.len()).collect();
     // By number where the files have one: the wall clock may have stepped back between two.
-    order.sort_by_key(|&index| (looks[index].number, looks[index].first_log_time, index));
-    files = order.iter().map(|&index| files[index].clone()).collect();
-    let own = looks.iter().filter(|look| look.is_own).count();
-    if own != 0 && own != looks.len() {
-        let find = |own| order.iter().position(|&index| looks[index].is_own == own).unwrap_or(0);
+    looks.sort_by_key(|(look, _)| (look.number(), look.first_log_time));
+    let (looks, files): (Vec<Look>, Vec<PathBuf>) = looks.into_iter().unzip();
+    let find = |own| looks.iter().position(|look| look.is_own == own);
+    if let (Some(own), Some(other)) = (find(true), find(false)) {
         return Err(InputError::Mixed {
-            first: files[find(true)].clone(),
-            second: files[find(false)].clone(),
+            first: files[own].clone(),
+            second: files[other].clone(),
             what: "only one is of this program".to_owned(),
         });
     }
     report.files.clone_from(&files);
     report.bytes = super::total_size(&files);
-    if own > 0 {
-        return Ok(Box::new(Recording::open(files, options, report)?));
+    if find(true).is_some() {
+        let infos = looks.into_iter().map(|look| look.info).collect();
+        return Ok(Box::new(Recording::open(files, infos, options, report)?));
     }
     if let Some(index) = looks.iter().position(|look| look.is_ros1) {
-        return Err(InputError::Unknown { path: report.files[index].clone(), hint: super::CONVERT });
+        return Err(InputError::Unknown { path: files[index].clone(), hint: super::CONVERT });
     }
     Ok(Box::new(Bag::open(files, options, report)?))
 }
@@ -232,20 +231,28 @@ pub fn open(
 #[derive(Default)]
 struct Look {
     is_own: bool,
-    /// Run, and number of the file in it.
-    number: (i64, u32),
+    info: Option<FileInfo>,
     is_ros1: bool,
     first_log_time: u64,
 }
 
-fn look(path: &Path) -> Result<Look, InputError> {
+impl Look {
+    /// Run, and number of the file in it.
+    fn number(&self) -> (i64, u32) {
+        self.info.as_ref().map_or((0, 0), |info| (info.session, info.file))
+    }
+}
+
+fn look(path: &Path, report: &mut InputReport) -> Result<Look, InputError> {
     let mut look = Look::default();
     visit(path, &mut |entry, _| match entry {
         Entry::Metadata(metadata) => {
             if metadata.name == SESSION {
                 look.is_own = true;
-                let info = metadata.metadata.get("json").and_then(|json| serde_json::from_str(json).ok());
-                look.number = info.map_or((0, 0), |info: FileInfo| (info.session, info.file));
+                look.info = FileInfo::of(&metadata);
+                if look.info.is_none() {
+                    report.error("visagge.session");
+                }
             }
             true
         }

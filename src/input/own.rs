@@ -1,17 +1,23 @@
 //! A recording of this program: the bytes of the port through the decoder of the live run, at the times recorded, and
 //! the poses in the order in which the mapper took them. So the mapper is called as it was called then.
 
-use std::path::PathBuf;
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
 
 use super::bag::Survey;
-use super::container::{Entry, visit_all};
+use super::container::{Entry, visit, visit_all};
 use super::poses::Poses;
 use super::{InputError, InputOptions, InputReport, PoseSource, Sink, Source};
 use crate::cdr::{self, Message};
+use crate::live::queues::TO_MAPPER;
 use crate::mapper::PoseUse;
 use crate::pose::{Pose, StampedPose};
 use crate::record::{BEGUN_WITH, DEVICE, FileInfo, SESSION, topic};
 use crate::scan::Scan;
+
+/// Scans that the mapper of the run may have been behind the driver, the one in its hands included. Once as many are decoded behind a
+/// scan, all poses that the mapper took before it have been read: they were recorded when it took them.
+const BEHIND: usize = TO_MAPPER.capacity + 1;
 
 /// See the module.
 pub struct Recording {
@@ -19,85 +25,37 @@ pub struct Recording {
     bytes: u64,
     info: FileInfo,
     mount: Option<Pose>,
-    /// The map that the run went on in.
-    begun_with: Option<Vec<u8>>,
-    /// Answer to PP, which a file that does not begin the run has not among its bytes.
-    parameters: Option<scip::Parameters>,
-    poses: RecordedPoses,
+    beginning: Beginning,
     /// Poses that were asked for in the place of the recorded ones.
     other_poses: Option<Poses>,
     pose_use: Option<PoseUse>,
 }
 
-/// Poses with the number of scans that the mapper had taken before each.
-#[derive(Default)]
-struct RecordedPoses {
-    poses: Vec<(u64, StampedPose)>,
-    given: usize,
-}
-
-impl RecordedPoses {
-    fn give_before_scan(&mut self, number: u64, sink: &mut dyn Sink, report: &mut InputReport) {
-        while let Some((_, pose)) = self.poses.get(self.given).filter(|(before, _)| *before <= number) {
-            sink.on_pose(*pose);
-            report.poses += 1;
-            self.given += 1;
-        }
-    }
-}
-
 impl Recording {
-    /// Looks through the files for what must be known before the first scan.
+    /// Looks for what must be known before the first scan. `infos` are what the files tell of themselves.
     pub(super) fn open(
         files: Vec<PathBuf>,
+        infos: Vec<Option<FileInfo>>,
         options: &InputOptions,
         report: &mut InputReport,
     ) -> Result<Self, InputError> {
         report.kind = "recording".to_owned();
-        let mut infos: Vec<FileInfo> = Vec::new();
-        let (mut parameters, mut begun_with) = (None, None);
-        let mut poses = RecordedPoses::default();
-        visit_all(&files, report, &mut |entry, _, report| match entry {
-            Entry::Metadata(metadata) if metadata.name == SESSION => {
-                let json = metadata.metadata.get("json").map(String::as_str).unwrap_or_default();
-                match serde_json::from_str(json) {
-                    Ok(info) => infos.push(info),
-                    Err(_) => report.error("visagge.session"),
-                }
-            }
-            Entry::Metadata(metadata) if metadata.name == DEVICE => {
-                let pp = metadata
-                    .metadata
-                    .iter()
-                    .filter_map(|(key, value)| Some((key.strip_prefix("PP.")?, value)));
-                let fields = scip::Fields::new(pp.map(|(key, value)| (key, value.as_str())));
-                parameters = parameters.take().or(scip::Parameters::from_fields(&fields).ok());
-            }
-            Entry::Attachment(attachment) if attachment.name == BEGUN_WITH => {
-                begun_with.get_or_insert_with(|| attachment.data.to_vec());
-            }
-            Entry::Message { channel, data, .. } if channel.topic == topic::POSE_RECEIVED => {
-                match cdr::PoseReceived::decode(data) {
-                    Ok(pose) => poses.poses.push((pose.scans_before, stamped_pose(&pose))),
-                    Err(_) => report.error("pose_received"),
-                }
-            }
-            _ => {}
-        })?;
-        // The order of poses with the same count is that in which they were taken and written.
-        poses.poses.sort_by_key(|(before, _)| *before);
-        if let Some(other) = infos.iter().position(|info| info.session != infos[0].session) {
+        let known = || infos.iter().zip(&files).filter_map(|(info, file)| Some((info.as_ref()?, file)));
+        if let Some((first, file)) = known().next()
+            && let Some((_, other)) = known().find(|(info, _)| info.session != first.session)
+        {
             return Err(InputError::Mixed {
-                first: files[0].clone(),
-                second: files[other.min(files.len() - 1)].clone(),
+                first: file.clone(),
+                second: other.clone(),
                 what: "they are of two runs".to_owned(),
             });
         }
-        let info = infos.into_iter().next().unwrap_or_default();
+        let info = infos.into_iter().flatten().next().unwrap_or_default();
+        let beginning = Beginning::of(&files[0])?;
         let mut pose_use = PoseSource::pose_use(options.pose.as_ref());
         let other_poses = match &options.pose {
             None | Some(PoseSource::Recorded) => {
-                if poses.poses.is_empty() {
+                if !holds_poses(&files)? {
                     report.note(super::MATCHED);
                     pose_use = Some(PoseUse::Odometry);
                 }
@@ -113,16 +71,55 @@ impl Recording {
             outside => Poses::from_outside(outside.as_ref())?.map(|poses| on_clock_of(poses, &info)),
         };
         let bytes = report.bytes;
-        let mount = options.mount;
-        Ok(Self { files, bytes, info, mount, begun_with, parameters, poses, other_poses, pose_use })
+        Ok(Self { files, bytes, info, mount: options.mount, beginning, other_poses, pose_use })
     }
+}
 
-    fn give_poses(&mut self, number: u64, scan: &Scan, sink: &mut dyn Sink, report: &mut InputReport) {
-        match &mut self.other_poses {
-            Some(poses) => poses.give_for(scan, sink, report),
-            None => self.poses.give_before_scan(number, sink, report),
-        }
+/// What a file tells before its first message.
+#[derive(Default)]
+struct Beginning {
+    /// Answer to PP, which a file that does not begin the run has not among its bytes.
+    parameters: Option<scip::Parameters>,
+    /// The map that the run went on in.
+    begun_with: Option<Vec<u8>>,
+}
+
+impl Beginning {
+    fn of(file: &Path) -> Result<Self, InputError> {
+        let mut beginning = Self::default();
+        visit(file, &mut |entry, _| {
+            match entry {
+                Entry::Metadata(metadata) if metadata.name == DEVICE => {
+                    let pp = metadata
+                        .metadata
+                        .iter()
+                        .filter_map(|(key, value)| Some((key.strip_prefix("PP.")?, value)));
+                    let fields = scip::Fields::new(pp.map(|(key, value)| (key, value.as_str())));
+                    beginning.parameters = scip::Parameters::from_fields(&fields).ok();
+                }
+                Entry::Attachment(attachment) if attachment.name == BEGUN_WITH => {
+                    beginning.begun_with = Some(attachment.data.into_owned());
+                }
+                Entry::Message { .. } => return false,
+                _ => {}
+            }
+            true
+        })?;
+        Ok(beginning)
     }
+}
+
+/// Whether poses came in the run: mostly its first second tells.
+fn holds_poses(files: &[PathBuf]) -> Result<bool, InputError> {
+    let mut found = false;
+    for file in files {
+        visit(file, &mut |entry, _| {
+            found |= matches!(entry, Entry::Message { channel, data, .. }
+                if channel.topic == topic::POSE_RECEIVED && cdr::PoseReceived::decode(data).is_ok());
+            !found
+        })?;
+    }
+    Ok(found)
 }
 
 /// A file of poses may be on either of the two clocks: stamps behind the year 2000 are on the wall's.
@@ -162,7 +159,7 @@ impl Source for Recording {
     }
 
     fn begun_with(&self) -> Option<&[u8]> {
-        self.begun_with.as_deref()
+        self.beginning.begun_with.as_deref()
     }
 
     fn pose_use(&self) -> Option<PoseUse> {
@@ -176,38 +173,101 @@ impl Source for Recording {
     fn feed(&mut self, sink: &mut dyn Sink, report: &mut InputReport) -> Result<(), InputError> {
         // The first file has PP among its bytes, and the live monitor knew no more than these.
         let begins_the_run = self.info.scans_before == 0 && self.info.file == 0;
-        let parameters = self.parameters.clone().filter(|_| !begins_the_run);
+        let parameters = self.beginning.parameters.clone().filter(|_| !begins_the_run);
         let mut port = Port {
             monitor: scip::Monitor::new(monitor_options(self.info.info.stamps_at_rear, parameters.clone())),
             parameters,
             takes_strays: !begins_the_run,
             offsets: [None; 2],
         };
-        let mut number = self.info.scans_before;
-        let files = std::mem::take(&mut self.files);
-        visit_all(&files, report, &mut |entry, offset, report| {
-            let Entry::Message { channel, data, .. } = entry else { return };
-            if channel.topic != topic::SCIP {
-                return;
-            }
-            let Ok(bytes) = cdr::ScipBytes::borrow(data) else {
-                report.error("scip message");
-                return;
-            };
-            port.take(&bytes, report);
-            while let Some(scan) = port.next_scan(report) {
-                self.give_poses(number, &scan, sink, report);
-                report.scans += 1;
-                number += 1;
-                sink.on_scan(scan);
+        let mut order = Order {
+            scans: VecDeque::with_capacity(BEHIND + 1),
+            number: self.info.scans_before,
+            recorded_poses: VecDeque::new(),
+            other_poses: self.other_poses.as_mut(),
+        };
+        visit_all(&self.files, report, &mut |entry, offset, report| {
+            match entry {
+                Entry::Message { channel, data, .. } if channel.topic == topic::SCIP => {
+                    match cdr::ScipBytes::borrow(data) {
+                        Ok(bytes) => port.take(&bytes, report),
+                        Err(_) => report.error("scip message"),
+                    }
+                    while let Some(scan) = port.next_scan(report) {
+                        order.take_scan(scan);
+                        if order.scans.len() > BEHIND {
+                            order.give_scan(sink, report);
+                        }
+                    }
+                }
+                Entry::Message { channel, data, .. } if channel.topic == topic::POSE_RECEIVED => {
+                    match cdr::PoseReceived::decode(data) {
+                        Ok(pose) => order.take_pose(&pose),
+                        Err(_) => report.error("pose_received"),
+                    }
+                }
+                // Where a file before is damaged, its scans are missing.
+                Entry::Metadata(metadata) if metadata.name == SESSION => {
+                    let before = FileInfo::of(&metadata).map_or(0, |info| info.scans_before);
+                    order.number = order.number.max(before);
+                }
+                _ => return,
             }
             sink.on_progress(offset);
         })?;
-        self.files = files;
-        if self.other_poses.is_none() {
-            self.poses.give_before_scan(u64::MAX, sink, report);
-        }
+        order.give_rest(sink, report);
         Ok(())
+    }
+}
+
+/// Brings scans and poses into the order in which the mapper took them.
+struct Order<'a> {
+    /// Not given yet, each with its number among the scans that the mapper took.
+    scans: VecDeque<(u64, Scan)>,
+    /// That of the next.
+    number: u64,
+    /// Poses not given yet with the number of scans that the mapper had taken before each.
+    recorded_poses: VecDeque<(u64, StampedPose)>,
+    other_poses: Option<&'a mut Poses>,
+}
+
+impl Order<'_> {
+    fn take_scan(&mut self, scan: Scan) {
+        self.scans.push_back((self.number, scan));
+        self.number += 1;
+    }
+
+    fn take_pose(&mut self, pose: &cdr::PoseReceived) {
+        // Poses with the same count stay in the order in which they were taken and written.
+        let place = self.recorded_poses.partition_point(|(before, _)| *before <= pose.scans_before);
+        self.recorded_poses.insert(place, (pose.scans_before, stamped_pose(pose)));
+    }
+
+    fn give_scan(&mut self, sink: &mut dyn Sink, report: &mut InputReport) -> bool {
+        let Some((number, scan)) = self.scans.pop_front() else { return false };
+        match &mut self.other_poses {
+            Some(poses) => poses.give_for(&scan, sink, report),
+            None => self.give_poses_before(number, sink, report),
+        }
+        report.scans += 1;
+        sink.on_scan(scan);
+        true
+    }
+
+    fn give_poses_before(&mut self, number: u64, sink: &mut dyn Sink, report: &mut InputReport) {
+        while self.recorded_poses.front().is_some_and(|(before, _)| *before <= number)
+            && let Some((_, pose)) = self.recorded_poses.pop_front()
+        {
+            sink.on_pose(pose);
+            report.poses += 1;
+        }
+    }
+
+    fn give_rest(&mut self, sink: &mut dyn Sink, report: &mut InputReport) {
+        while self.give_scan(sink, report) {}
+        if self.other_poses.is_none() {
+            self.give_poses_before(u64::MAX, sink, report);
+        }
     }
 }
 
