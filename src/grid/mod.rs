@@ -4,6 +4,7 @@ pub mod angle;
 pub mod cell;
 mod cells;
 pub mod free;
+pub mod idea;
 pub mod known;
 mod lanes;
 pub mod near;

@@ -8,6 +8,7 @@
 use super::{
     angle::{Angle, AngleRange, units},
     cell::Cell,
+    idea::Idea,
     surface::Line,
     tiles::{CellIndex, SIDE, TileIndex},
     visagge::Visagge,
@@ -122,7 +123,9 @@ pub(super) fn image(grid: &Visagge, place: TileIndex, cell: &Cell) -> Image {
     let index = cell.index(place);
     let at = |index: i32| (f64::from(index) + 0.5) * grid.resolution;
     let point = [at(index.x), at(index.y)];
-    let too = Some(&cell.visible_too).filter(|too| too.way >= 0.0 && too.range.width_rad() >= TELLING);
+    let too = Some(&cell.visible_too).filter(|too| {
+        too.way >= 0.0 && too.range.width_rad() >= TELLING && grid.settings.has(Idea::SecondRange)
+    });
     let mut image = Image::Yes;
     for visible in [Some(&cell.visible), too].into_iter().flatten() {
         let mut unexplained = 0;
@@ -158,7 +161,8 @@ fn explained(grid: &Visagge, point: [f64; 2], sensor: [f64; 2], range: f64, bear
         let to_sensor = (mirrored[0] - sensor[0]).hypot(mirrored[1] - sensor[1]);
         let tolerance = (PLACE + 2.0 * DIRECTION * (range - distance)).min(WIDEST);
         let explains = to_sensor <= BODY + tolerance || grid.is_mapped_near(mirrored, tolerance);
-        let by_glass = range <= SEES * glass_reflects(line.off_normal(bearing));
+        let by_glass =
+            range <= SEES * glass_reflects(line.off_normal(bearing)) || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
             (true, _) if by_glass => Image::Yes,
             (true, _) => Image::IfOpaque(block),

@@ -67,20 +67,10 @@ impl Line {
 
     /// The mirror image of a point (m).
     pub fn mirror(&self, point: [f64; 2]) -> [f64; 2] {
-        self.towards(point, 2.0)
-    }
-
-    /// The point on the line that is nearest to a point (m).
-    pub fn foot(&self, point: [f64; 2]) -> [f64; 2] {
-        self.towards(point, 1.0)
-    }
-
-    /// Where a point comes that moves towards the line by so many times its distance from it (m).
-    fn towards(&self, point: [f64; 2], times: f64) -> [f64; 2] {
         let (sin, cos) = f64::from(self.normal).sin_cos();
         let [x, y] = self.at.map(f64::from);
         let beyond = (point[0] - x) * cos + (point[1] - y) * sin;
-        [point[0] - times * beyond * cos, point[1] - times * beyond * sin]
+        [point[0] - 2.0 * beyond * cos, point[1] - 2.0 * beyond * sin]
     }
 }
 
@@ -167,7 +157,7 @@ impl Window {
                         at: cell.returns_at(index, grid.resolution),
                         seen_from: cell.visible.range.middle(),
                         weight: f64::from(cell.occupancy.min(WEIGHT)),
-                        is_solid: is_solid(&cell),
+                        is_solid: is_solid(&cell, &grid.settings),
                     });
                 }
             }

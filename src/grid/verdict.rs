@@ -10,10 +10,11 @@
 use super::{
     angle::units,
     cell::Cell,
+    idea::Idea,
     reflection::{self, Image, Opacity},
     surface::{Line, OF_PILLAR, OF_PLANE, Window},
     tiles::CellIndex,
-    visagge::{Evidence, Visagge},
+    visagge::{Evidence, Visagge, VisaggeSettings},
 };
 
 /// Why a cell with evidence is shown, or not. The number is the value of layer `verdict` in map.npz.
@@ -37,7 +38,7 @@ pub enum Verdict {
     NoSurface = 11,
     /// Not shown: the image, in a mapped surface, of something else or of the robot.
     Image = 12,
-    /// Not shown: beside a surface that is drawn where its line runs.
+    /// Not shown: right before or behind a cell of the same surface that got clearly more returns.
     Beside = 13,
 }
 
@@ -102,9 +103,9 @@ const LASTING: f32 = 1.0;
 const GONE: f64 = 0.05;
 /// Incidence from which on a wall that is still there may return nothing (rad): 75 degrees, where some return three times in ten.
 const GRAZING: f64 = 1.31;
-/// What is solid is left beside a line unless the cell on the line was hit so many times as often: where a wall's face runs along the
-/// border of two cells, either is right.
-const OUTWEIGHS: u16 = 2;
+/// A cell is drawn unless one right before or behind it got so many times its returns. Where a wall's face runs along the border of two
+/// cells, both get the same, give or take a few.
+const OUTWEIGHS: f32 = 1.33;
 
 impl Visagge {
     /// Judges all cells, from their observations alone: a verdict does not depend on the one before, so the map does not
@@ -113,9 +114,13 @@ impl Visagge {
         for number in 0..self.tiles.len() {
             self.judge_tile(number);
         }
-        self.bridge_gaps();
+        if self.settings.has(Idea::Gaps) {
+            self.bridge_gaps();
+        }
         self.judge_images();
-        self.hide_beside();
+        if self.settings.has(Idea::Thin) {
+            self.thin();
+        }
     }
 
     /// Shows cells in the gaps of what is shown. A pane is seen cell by cell, for a few scans each: where somebody stands in
@@ -158,15 +163,15 @@ impl Visagge {
         evidence.is_some_and(|evidence| evidence.shown[row] >> column & 1 == 1)
     }
 
-    /// Draws surfaces where their lines run: cells beside are not shown if those on the line are. Ranges and poses spread the returns
-    /// of a pane over two or three cells side by side.
-    fn hide_beside(&mut self) {
+    /// Draws surfaces one cell thick: ranges and poses spread the returns of a wall over cells one behind the other, and those
+    /// are shown that got the most.
+    fn thin(&mut self) {
         let mut beside = Vec::new();
         for number in 0..self.tiles.len() {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
             for (at, (cell, judgement)) in evidence.cells.iter().zip(&evidence.judgements).enumerate() {
-                if judgement.verdict.is_shown() && self.is_beside(cell.index(place), &cell, judgement) {
+                if judgement.verdict.is_shown() && self.is_outweighed(cell.index(place), &cell, judgement) {
                     beside.push((number, at));
                 }
             }
@@ -177,22 +182,19 @@ impl Visagge {
         }
     }
 
-    fn is_beside(&self, index: CellIndex, cell: &Cell, judgement: &Judgement) -> bool {
-        let Some(line) = judgement.line.filter(|line| line.is_flat() && line.length >= LEAST_LENGTH) else {
-            return false;
-        };
-        let middle = [index.x, index.y].map(|at| (f64::from(at) + 0.5) * self.resolution);
-        let foot = line.foot(middle);
-        let on_line = CellIndex::of(foot[0], foot[1], self.resolution);
-        let (place, column, row) = on_line.split();
-        let evidence = self.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
-        let found = evidence.and_then(|evidence| evidence.at(column, row));
-        on_line != index
-            && found.is_some_and(|(other, judged)| {
-                judged.verdict.is_shown()
-                    && (judgement.verdict != Verdict::Solid
-                        || other.hits > cell.hits.saturating_mul(OUTWEIGHS))
+    /// Whether a cell that is shown, right before or behind this one, got clearly more returns.
+    fn is_outweighed(&self, index: CellIndex, cell: &Cell, judgement: &Judgement) -> bool {
+        let normal = judgement.line.filter(Line::is_flat).map(|line| f64::from(line.normal));
+        let (sin, cos) = normal.unwrap_or_else(|| cell.visible.range.middle().rad()).sin_cos();
+        let step = 1.0 / sin.abs().max(cos.abs());
+        [-2, -1, 1, 2].into_iter().any(|steps| {
+            let along = |part: f64| (f64::from(steps) * step * part).round() as i32;
+            let (place, column, row) = CellIndex { x: index.x + along(cos), y: index.y + along(sin) }.split();
+            let evidence = self.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
+            evidence.and_then(|evidence| evidence.at(column, row)).is_some_and(|(other, judged)| {
+                judged.verdict.is_shown() && f32::from(other.hits) > OUTWEIGHS * f32::from(cell.hits)
             })
+        })
     }
 
     fn judge_images(&mut self) {
@@ -203,10 +205,13 @@ impl Visagge {
             let judged = evidence.cells.iter().zip(&evidence.judgements);
             let images: Vec<Image> = judged
                 .map(|(cell, judgement)| {
-                    if judgement.shape.is_shown() { reflection::image(self, place, &cell) } else { Image::No }
+                    let may_be = judgement.shape.is_shown() && self.settings.has(Idea::Images);
+                    if may_be { reflection::image(self, place, &cell) } else { Image::No }
                 })
                 .collect();
-            images.iter().for_each(|image| opacity.vote(*image));
+            if self.settings.has(Idea::Opacity) {
+                images.iter().for_each(|image| opacity.vote(*image));
+            }
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
             for (judgement, image) in evidence.judgements.iter_mut().zip(images) {
                 judgement.image = image;
@@ -229,25 +234,27 @@ impl Visagge {
             return;
         }
         let window = Window::around(self, place);
-        let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("tested above");
+        let Visagge { settings, tiles, .. } = self;
+        let evidence = tiles.at_mut(number).evidence.as_mut().expect("tested above");
         evidence.shown = [0; 64];
         evidence.mirrors = [0; 64];
         evidence.has_mirrors = false;
         for (cell, judgement) in evidence.cells.iter().zip(&mut evidence.judgements) {
             // Of what is shown in any case and nothing is seen through, the surface does not matter.
-            let is_shown = is_solid(&cell) && !is_gone(&cell, None) || cell.passes > 0;
+            let is_shown = is_solid(&cell, settings) && !is_gone(&cell, None, settings) || cell.passes > 0;
             let is_seen_through = u32::from(cell.missed.width) >= units(SEEN_THROUGH);
             let matters = cell.occupancy >= LEAST_HITS && (!is_shown || is_seen_through);
             let line = if matters {
                 let index = cell.index(place);
                 let plane = window.surface(index, &cell, units(OF_PLANE));
                 plane
-                    .filter(|line| explains(line, &cell))
+                    .filter(|line| explains(line, &cell, settings) && settings.has(Idea::PlanesFirst))
                     .or_else(|| window.surface(index, &cell, units(OF_PILLAR)))
             } else {
                 None
             };
-            *judgement = Judgement { line, shape: shape(&cell, line.as_ref()), ..Judgement::default() };
+            *judgement =
+                Judgement { line, shape: shape(&cell, line.as_ref(), settings), ..Judgement::default() };
             let [column, row] = cell.place;
             if judgement.shape.is_shown() {
                 evidence.shown[usize::from(row)] |= 1 << column;
@@ -266,41 +273,49 @@ impl Visagge {
 }
 
 /// Whether the cell returned whenever it could, or nearly so.
-pub(super) fn is_solid(cell: &Cell) -> bool {
+pub(super) fn is_solid(cell: &Cell, settings: &VisaggeSettings) -> bool {
     let width = u32::from(cell.visible.range.width);
     width >= 2 * u32::from(cell.missed.width)
-        && (!cell.was_crossed || width >= units(WIDE) || cell.lasted() >= LASTING)
+        && (!cell.was_crossed
+            || width >= units(WIDE)
+            || cell.lasted() >= LASTING
+            || !settings.has(Idea::Newcomers))
 }
 
 /// Whether a surface along this line would be seen from where the cell was seen, and hardly from elsewhere.
-fn explains(line: &Line, cell: &Cell) -> bool {
+fn explains(line: &Line, cell: &Cell, settings: &VisaggeSettings) -> bool {
     let off = line.off_normal(cell.visible.range.middle().rad());
     let beyond = off - cell.visible.range.width_rad() / 2.0;
-    let [most, most_beyond] = if line.length >= LONG && line.rms <= STRAIGHT { OFF_LONG } else { OFF_SHORT };
+    let is_long = line.length >= LONG && line.rms <= STRAIGHT && settings.has(Idea::LongSurfaces);
+    let [most, most_beyond] = if is_long { OFF_LONG } else { OFF_SHORT };
     line.length >= LEAST_LENGTH
         && line.is_flat()
-        && line.share >= LEAST_SHARE
+        && (line.share >= LEAST_SHARE || !settings.has(Idea::Clutter))
         && off <= most
         && beyond <= most_beyond
 }
 
 /// Whether the cell was missed to the end, and not for being looked at along the surface through it.
-fn is_gone(cell: &Cell, line: Option<&Line>) -> bool {
+fn is_gone(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> bool {
     let is_grazing = line.is_some_and(|line| line.off_normal(cell.missed.middle().rad()) > GRAZING);
-    u32::from(cell.missed.width) >= units(GONE) && !cell.seen_again && !is_grazing
+    u32::from(cell.missed.width) >= units(GONE)
+        && !cell.seen_again
+        && !is_grazing
+        && settings.has(Idea::TakenAway)
 }
 
-fn shape(cell: &Cell, line: Option<&Line>) -> Verdict {
+fn shape(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> Verdict {
     if cell.occupancy < LEAST_HITS {
         return Verdict::TooFew;
     }
-    if is_solid(cell) && !is_gone(cell, line) {
+    if is_solid(cell, settings) && !is_gone(cell, line, settings) {
         return Verdict::Solid;
     }
     if cell.passes > 0 {
         return Verdict::Repeated;
     }
-    if line.is_some_and(|line| explains(line, cell)) { Verdict::Surface } else { Verdict::NoSurface }
+    let is_explained = line.is_some_and(|line| explains(line, cell, settings));
+    if is_explained || !settings.has(Idea::Surfaces) { Verdict::Surface } else { Verdict::NoSurface }
 }
 
 #[cfg(test)]
@@ -320,6 +335,8 @@ mod tests {
 
     #[test]
     fn a_pane_is_flat_alone_and_seen_about_its_normal() {
+        let settings = VisaggeSettings::default();
+        let explains = |line: &Line, cell: &Cell| explains(line, cell, &settings);
         let pane = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0 };
         let seen = |from: f64, to: f64| {
             let mut cell = Cell::of(&Returns::new([0, 0], true), &Track::default());
@@ -352,7 +369,7 @@ mod tests {
             let start = Angle::from_rad(from.to_radians());
             cell.missed = AngleRange { start, width: units(5f64.to_radians()) as u16 };
             cell.seen_again = seen_again;
-            shape(&cell, Some(&box_))
+            shape(&cell, Some(&box_), &VisaggeSettings::default())
         };
         assert_eq!(missed(-50.0, false), Verdict::NoSurface);
         assert_eq!(missed(-50.0, true), Verdict::Solid);
@@ -360,26 +377,25 @@ mod tests {
     }
 
     #[test]
-    fn a_surface_is_drawn_where_its_line_runs() {
-        // Two columns of cells side by side; the line runs along the middle of the second one.
-        let line = Line { at: [0.075, 0.3], normal: 0.0, rms: 0.02, length: 0.6, share: 1.0 };
-        let drawn = |verdict: Verdict, hits: [u16; 2]| {
+    fn a_wall_is_drawn_one_cell_thick() {
+        // Cells one behind the other, seen from along the row.
+        let drawn = |hits: &[u16]| {
             let mut grid = Visagge::new(0.05, VisaggeSettings::default());
             let number = grid.tiles.find_or_make(TileIndex { x: 0, y: 0 });
             let evidence = grid.tiles.at_mut(number).evidence.get_or_insert_default();
-            let cells = [0, 1].map(|column| {
-                let mut returns = Returns::new([column, 5], false);
-                returns.hits = hits[usize::from(column)];
+            let cells = hits.iter().enumerate().map(|(column, &hits)| {
+                let mut returns = Returns::new([column as u8, 5], false);
+                returns.hits = hits;
                 (returns, Track::default())
             });
-            evidence.fill(cells.into_iter());
-            evidence.judgements.fill(Judgement { line: Some(line), verdict, ..Judgement::default() });
-            grid.hide_beside();
-            grid.cells().map(|(.., judgement)| judgement.verdict.is_shown()).collect::<Vec<_>>()
+            evidence.fill(cells);
+            evidence.judgements.fill(Judgement { verdict: Verdict::Solid, ..Judgement::default() });
+            grid.thin();
+            grid.cells().map(|(.., judgement)| u8::from(judgement.verdict.is_shown())).collect::<Vec<_>>()
         };
-        assert_eq!(drawn(Verdict::Surface, [9, 4]), [false, true]);
-        assert_eq!(drawn(Verdict::Solid, [9, 18]), [true, true], "a wall along the border of both");
-        assert_eq!(drawn(Verdict::Solid, [9, 19]), [false, true]);
+        assert_eq!(drawn(&[3, 20, 80, 30, 2]), [0, 0, 1, 0, 0]);
+        assert_eq!(drawn(&[3, 40, 50, 2]), [0, 1, 1, 0], "along the border of both");
+        assert_eq!(drawn(&[90, 0, 0, 9]), [1, 0, 0, 1], "another surface");
     }
 
     #[test]

@@ -8,6 +8,7 @@ use super::{
     cell::{Cell, Returns, Rule},
     cells::{self, Cells},
     free::Outline,
+    idea::Idea,
     lanes::{self, Path, Sights},
     near::Near,
     rays::Rays,
@@ -47,6 +48,8 @@ pub struct VisaggeSettings {
     pub two_ranges: bool,
     /// Whatever stood within this distance of the sensor's own path is gone (m, 0..1).
     pub body_radius: f64,
+    /// Ideas that the verdict does without, to see what they are worth.
+    pub without: Vec<Idea>,
 }
 
 impl Default for VisaggeSettings {
@@ -62,6 +65,7 @@ impl Default for VisaggeSettings {
             occupancy_cap: 30,
             two_ranges: true,
             body_radius: 0.2,
+            without: Vec::new(),
         }
     }
 }
@@ -75,6 +79,11 @@ impl VisaggeSettings {
             across: SQRT_2 * self.position_sigma,
             heading: self.heading_sigma,
         }
+    }
+
+    /// Whether the verdict makes use of an idea.
+    pub(super) fn has(&self, idea: Idea) -> bool {
+        !self.without.contains(&idea)
     }
 
     fn rule(&self, beam: f64) -> Rule {

@@ -1,6 +1,7 @@
 //! What is marked: a kind of mapper with its settings, some of them overridden.
 
 use anyhow::{Context, Result, bail};
+use visagged::grid::idea::Idea;
 use visagged::mapper::{MapperKind, MapperSettings};
 
 /// A setting in the place of the default: `key=value`, where the value is TOML and the key that of the mapper's table
@@ -26,6 +27,17 @@ impl std::fmt::Display for Override {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         write!(f, "{}={}", self.key, self.value)
     }
+}
+
+/// Each idea of ours left out by itself.
+pub fn each_idea() -> Vec<Override> {
+    let without = |idea: &Idea| Override {
+        key: "without".into(),
+        value: vec![toml::Value::try_from(idea).expect("an idea is a name")].into(),
+    };
+    let settings = [("two_ranges", false.into()), ("body_radius", 0.0.into())];
+    let settings = settings.map(|(key, value)| Override { key: key.into(), value });
+    Idea::ALL.iter().map(without).chain(settings).collect()
 }
 
 /// A mapper that is marked.

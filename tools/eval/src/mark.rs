@@ -15,7 +15,7 @@ use scipsim::score::{Marked, Score, score};
 use visagged::map::Map;
 use visagged::mapper::{Mapper, MapperKind, MapperSettings};
 
-use crate::contender::{Contender, Override, apply, contenders};
+use crate::contender::{Contender, Override, apply, contenders, each_idea};
 use crate::drive::Drive;
 use crate::plan::{Job, PLAIN, Set, VARIANTS, Variant, jobs, variant};
 use crate::{page, picture, table, why};
@@ -49,6 +49,9 @@ pub struct Arguments {
     /// One more row for the first mapper with this setting; may be given several times.
     #[arg(long, value_name = "KEY=VALUE")]
     ablate: Vec<Override>,
+    /// One more row for the first mapper without each of its ideas.
+    #[arg(long)]
+    ablate_ideas: bool,
     /// Say which verdicts the cells have that are shown or missing by mistake.
     #[arg(long)]
     why: bool,
@@ -100,7 +103,11 @@ impl Row {
 /// Marks everything that the arguments name.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let jobs = jobs(&arguments.worlds, &arguments.seeds, &arguments.set, &variants(&arguments.variants)?);
-    let contenders = contenders(&kinds(&arguments.mappers)?, &settings(arguments)?, &arguments.ablate)?;
+    let mut ablations = arguments.ablate.clone();
+    if arguments.ablate_ideas {
+        ablations.extend(each_idea());
+    }
+    let contenders = contenders(&kinds(&arguments.mappers)?, &settings(arguments)?, &ablations)?;
     if let Some(folder) = &arguments.out {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }

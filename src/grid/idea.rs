@@ -1,0 +1,51 @@
+//! What our verdict adds to the paper's, idea by idea, so that the worth of each can be measured.
+
+use serde::{Deserialize, Serialize};
+
+/// One idea, which can be left out ([`VisaggeSettings::without`](super::visagge::VisaggeSettings::without)).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Idea {
+    /// What came where a beam had passed is solid only if it was seen from a wide range of angles, or for a while.
+    Newcomers,
+    /// What was solid and was missed to the end has been taken away.
+    TakenAway,
+    /// Of what was missed, only flat surfaces that are seen about their normal are shown; without, all of it.
+    Surfaces,
+    /// A surface is sought among what was seen from the very same direction first.
+    PlanesFirst,
+    /// Long straight surfaces may be seen farther off their normal.
+    LongSurfaces,
+    /// Nothing else may be seen right before or behind a surface.
+    Clutter,
+    /// Cells in narrow gaps of what is shown are shown.
+    Gaps,
+    /// Images are not shown.
+    Images,
+    /// Glass reflects only as much as physics allows; without, all that is explained is an image.
+    Fresnel,
+    /// Where nearly all that is seen through a surface is explained, it is opaque, and reflects all.
+    Opacity,
+    /// An image must be explained from its second range of view angles too.
+    SecondRange,
+    /// Surfaces are drawn one cell thick.
+    Thin,
+}
+
+impl Idea {
+    /// All of them.
+    pub const ALL: [Idea; 12] = [
+        Idea::Newcomers,
+        Idea::TakenAway,
+        Idea::Surfaces,
+        Idea::PlanesFirst,
+        Idea::LongSurfaces,
+        Idea::Clutter,
+        Idea::Gaps,
+        Idea::Images,
+        Idea::Fresnel,
+        Idea::Opacity,
+        Idea::SecondRange,
+        Idea::Thin,
+    ];
+}
