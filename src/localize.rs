@@ -562,7 +562,7 @@ enum Recognized {
 
 /// Where in all of the map the points fit.
 fn recognize(map: &Submap, points: &Points) -> Recognized {
-    let candidates = search::anywhere(map, &points.thinned, CANDIDATE);
+    let candidates = search::anywhere(map, &points.thinned, search::ALL_HEADINGS, CANDIDATE);
     let mut matches: Vec<(f64, f64, Match)> = candidates
         .iter()
         .map(|candidate| {
