@@ -173,7 +173,8 @@ pub enum Outcome {
         start: Pose,
         /// base_link at its last beam.
         end: Pose,
-        /// Covariance xx, xy, xa, yy, ya, aa (m2, m rad, rad2) against the map near by, where the pose was matched.
+        /// Covariance xx, xy, xa, yy, ya, aa of `start` (m2, m rad, rad2) against the map near by, where the pose was matched.
+        /// How the map itself has drifted since it was begun is not in it.
         covariance: Option<[f64; 6]>,
     },
     /// It is not.
@@ -216,7 +217,8 @@ pub struct LocalizeReport {
     /// Whether the last search was one of these.
     #[serde(skip)]
     pub searched_in_vain: bool,
-    /// Covariance of the last pose: xx, xy, xa, yy, ya, aa (m2, m rad, rad2).
+    /// Covariance of the last pose against the map near by: xx, xy, xa, yy, ya, aa (m2, m rad, rad2). How the map itself has
+    /// drifted since it was begun is not in it.
     pub covariance: [f64; 6],
     /// CPU time of locating one scan (us).
     pub match_us: InsertTime,

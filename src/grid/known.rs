@@ -1,6 +1,6 @@
 //! What a grid knows of the world, as points in metres: for who looks for a place in it.
 
-use super::{angle::units, verdict::SEEN_THROUGH, visagge::Visagge};
+use super::{angle::units, standard::Standard, verdict::SEEN_THROUGH, visagge::Visagge};
 
 /// What a grid knows.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -53,5 +53,28 @@ impl Visagge {
             free: self.crossed().map(|index| [middle(index.x), middle(index.y)]).collect(),
             doubtful: cells(false).map(|(index, cell)| cell.returns_at(index, resolution)).collect(),
         }
+    }
+}
+
+impl Standard {
+    /// What is occupied and what is free within `reach` of a sensor (m). It does not know from where a cell was seen, nor
+    /// that any can be seen through: taken is that the sensor sees them now.
+    pub fn known(&self, sensor: [f64; 2], reach: f64) -> KnownPlaces {
+        let mut places = KnownPlaces::default();
+        let middle = |at: i32| (f64::from(at) + 0.5) * self.resolution();
+        for (index, is_occupied, _) in self.cells() {
+            let at = [middle(index.x), middle(index.y)];
+            let way = [sensor[0] - at[0], sensor[1] - at[1]];
+            if way[0] * way[0] + way[1] * way[1] > reach * reach {
+                continue;
+            }
+            if is_occupied {
+                let seen_from = way[1].atan2(way[0]);
+                places.surfaces.push(KnownSurface { at, seen_from, hits: u16::MAX, is_opaque: true });
+            } else {
+                places.free.push(at);
+            }
+        }
+        places
     }
 }

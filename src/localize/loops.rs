@@ -9,11 +9,12 @@
 //!
 //! [pcm]: https://doi.org/10.1109/ICRA.2018.8460217 "Mangelson et al. 2018"
 
+use super::free;
 use super::graph::{self, Edge};
 use super::matcher::{Match, difference, refine};
 use super::points::{Points, ScanPoint};
+use super::search::{self, Headings};
 use super::submap::{Submap, index};
-use super::{free, search};
 use crate::pose::{Pose, interpolate};
 use nalgebra::{Matrix3, Vector3};
 use std::{collections::HashSet, fmt};
@@ -228,26 +229,30 @@ impl Drive {
             let mut others: Vec<usize> =
                 (0..to).filter(|&from| segment.way - self.segments[from].way >= LOOP).collect();
             others.sort_by(|a, b| apart(*a).total_cmp(&apart(*b)));
-            let mut searched = 0;
-            for from in others {
-                let other = &self.segments[from];
-                let between = segment.way - other.way;
-                let expected = other.pose * nodes[from].inverse() * nodes[to];
-                let mut found = None;
-                if apart(from) <= NEAR {
-                    found = segment.fits_near(&other.map, &expected);
+            let expected = |from: usize| self.segments[from].pose * nodes[from].inverse() * nodes[to];
+            let mut found: Vec<(usize, Match)> = others
+                .iter()
+                .take_while(|&&from| apart(from) <= NEAR)
+                .filter_map(|&from| {
+                    Some((from, segment.fits_near(&self.segments[from].map, &expected(from))?))
+                })
+                .collect();
+            // Whoever is at home already need not be sought far away.
+            if far && found.is_empty() {
+                let allowed = |from: usize| {
+                    let way = segment.way - self.segments[from].way;
+                    [NEAR + OUT[0] * way, REFINED[1] + OUT[1] * way]
+                };
+                let may_be = others.iter().filter(|&&from| apart(from) <= allowed(from)[0]);
+                for &from in may_be.take(SEARCHES[0].min(SEARCHES[1] - searches)) {
+                    searches += 1;
+                    let there = segment.fits_far(&self.segments[from].map, &expected(from), allowed(from));
+                    found.extend(there.map(|there| (from, there)));
                 }
-                let allowed = [NEAR + OUT[0] * between, REFINED[1] + OUT[1] * between];
-                let may_search = far && searched < SEARCHES[0] && searches < SEARCHES[1];
-                if found.is_none() && may_search && apart(from) <= allowed[0] {
-                    (searched, searches) = (searched + 1, searches + 1);
-                    found = segment.fits_anywhere(&other.map).filter(|found| {
-                        let off = difference(&found.pose, &expected);
-                        off.xy().norm() <= allowed[0] && off.z.abs() <= allowed[1]
-                    });
-                }
-                closures.extend(found.map(|found| closure(from, to, &other.pose, &found)));
             }
+            closures.extend(
+                found.iter().map(|(from, found)| closure(*from, to, &self.segments[*from].pose, found)),
+            );
         }
         closures
     }
@@ -361,9 +366,10 @@ impl Segment {
         (is_near && fits(&found, KNOWN[0])).then_some(found)
     }
 
-    /// Its place in another segment's map, if there is exactly one.
-    fn fits_anywhere(&self, map: &Submap) -> Option<Match> {
-        let mut matches: Vec<Match> = search::anywhere(map, &self.points, 0.3)
+    /// Its place in another segment's map within a distance and a turn (m, rad) of the expected one, if there is exactly one.
+    fn fits_far(&self, map: &Submap, expected: &Pose, [reach, turn]: [f64; 2]) -> Option<Match> {
+        let headings = Headings { middle: expected.rotation.angle(), turn };
+        let mut matches: Vec<Match> = search::anywhere(map, &self.points, headings, 0.3)
             .iter()
             .map(|candidate| refine(map, &self.points, &free(candidate.pose)))
             .collect();
@@ -375,7 +381,9 @@ impl Segment {
             off.xy().norm() > REFINED[0] || off.z.abs() > REFINED[1]
         };
         let second = matches.iter().find(is_other).map_or(0.0, fit);
-        (fits(&best, KNOWN[1]) && second <= ONLY * fit(&best)).then_some(best)
+        let off = difference(&best.pose, expected);
+        let is_possible = off.xy().norm() <= reach && off.z.abs() <= turn;
+        (is_possible && fits(&best, KNOWN[1]) && second <= ONLY * fit(&best)).then_some(best)
     }
 }
 

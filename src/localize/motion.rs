@@ -51,6 +51,12 @@ impl Motion {
         self.covariance.fixed_view::<3, 3>(0, 0).into_owned()
     }
 
+    /// The same for `seconds` from now, where it moves on evenly.
+    pub fn covariance_ahead(&self, seconds: f64) -> Matrix3<f64> {
+        let part = |row: usize, column: usize| self.covariance.fixed_view::<3, 3>(row, column).into_owned();
+        part(0, 0) + (part(0, 3) + part(3, 0)) * seconds + part(3, 3) * (seconds * seconds)
+    }
+
     /// The largest deviation of the place (m) and that of the heading (rad).
     pub fn sigmas(&self) -> [f64; 2] {
         let c = &self.covariance;

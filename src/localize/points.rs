@@ -6,7 +6,7 @@ use crate::{grid::sweep::Sweep, pose::Pose, scan::Scan};
 use nalgebra::{Point2, Vector2};
 
 /// Farthest range that is matched (m): a UTM-30LX is specified to 30 m.
-const RANGE_MAX: f32 = 30.0;
+pub const RANGE_MAX: f32 = 30.0;
 /// Deviation of a range up to [`NEAR`] and beyond it (m): UTM-30LX specification, 10 and 30 mm; 25 mm measured.
 const RANGE_SIGMA: [f32; 2] = [0.010, 0.025];
 /// See [`RANGE_SIGMA`] (m).

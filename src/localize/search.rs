@@ -56,8 +56,20 @@ pub fn around(map: &Submap, points: &[ScanPoint], at: &Pose, window: Window) -> 
     found
 }
 
-/// The best poses anywhere in the map, best first; branch and bound over places (Hess et al. 2016).
-pub fn anywhere(map: &Submap, points: &[ScanPoint], least: f64) -> Vec<Candidate> {
+/// The headings at which a search looks.
+#[derive(Clone, Copy, Debug)]
+pub struct Headings {
+    /// The middle one (rad).
+    pub middle: f64,
+    /// Farthest to either side (rad).
+    pub turn: f64,
+}
+
+/// All headings.
+pub const ALL_HEADINGS: Headings = Headings { middle: std::f64::consts::PI, turn: std::f64::consts::PI };
+
+/// The best poses anywhere in the map at these headings, best first; branch and bound over places (Hess et al. 2016).
+pub fn anywhere(map: &Submap, points: &[ScanPoint], headings: Headings, least: f64) -> Vec<Candidate> {
     /// Levels of halving: the coarsest cell has 64 fine ones along its side, 6.4 m.
     const LEVELS: usize = 6;
     let [low, high] = map.extent();
@@ -67,13 +79,15 @@ pub fn anywhere(map: &Submap, points: &[ScanPoint], least: f64) -> Vec<Candidate
     field.build(LEVELS);
     let few = few(points);
     let turn_step = turn_step(points).max(0.5_f64.to_radians());
-    let turns = (std::f64::consts::TAU / turn_step).ceil() as i32;
+    let width = 2.0 * headings.turn.min(std::f64::consts::PI);
+    let turns = (width / turn_step).ceil() as i32;
     let side = 1 << LEVELS;
     let blocks = reach.map(|reach| (reach / CELL).ceil() as i32 / side + 1);
     let mut roots = Vec::new();
     let mut rotated = Vec::with_capacity(turns as usize);
     for turn in 0..turns {
-        let rotation = nalgebra::UnitComplex::new(f64::from(turn) * turn_step);
+        let rotation =
+            nalgebra::UnitComplex::new(headings.middle - width / 2.0 + f64::from(turn) * turn_step);
         let cells = cells_of(&few, &rotation, middle);
         for y in -blocks.y..blocks.y {
             for x in -blocks.x..blocks.x {
@@ -235,5 +249,44 @@ impl Field {
             }
         }
         f64::from(sum) / 100.0 / (cells.len() as f64).max(1.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::localize::points::Points;
+    use crate::pose::pose;
+    use std::f64::consts::PI;
+
+    /// An outline like no other, of points 5 cm apart.
+    fn outline() -> Points {
+        let walls = [[[0.0, -2.0], [3.0, -2.0]], [[3.0, -2.0], [3.0, 1.0]], [[-1.5, 1.8], [0.5, 1.8]]];
+        let mut points = Points::default();
+        for [a, b] in walls.map(|wall| wall.map(Vector2::from)) {
+            let steps = ((b - a).norm() / 0.05) as usize;
+            points.all.extend((0..steps).map(|step| ScanPoint {
+                at: (a + (b - a) * (step as f64 / steps as f64)).into(),
+                normal: None,
+                variance: 1e-4,
+                post: false,
+                sine: 1.0,
+            }));
+        }
+        points
+    }
+
+    #[test]
+    fn a_place_is_found_at_the_headings_that_are_searched_only() {
+        let (points, truth) = (outline(), pose(4.0, -1.0, 2.0));
+        let mut map = Submap::default();
+        (0..3).for_each(|_| map.insert(&points, &truth));
+        let find = |middle: f64, turn: f64| anywhere(&map, &points.all, Headings { middle, turn }, 0.6);
+        for headings in [ALL_HEADINGS, Headings { middle: 2.2, turn: 0.4 }] {
+            let best = find(headings.middle, headings.turn)[0].pose;
+            assert!((best.translation.vector - truth.translation.vector).norm() < 0.15, "{best}");
+            assert!(best.rotation.angle_to(&truth.rotation).abs() < 0.05, "{best}");
+        }
+        assert!(find(2.0 + PI, 1.0).is_empty());
     }
 }

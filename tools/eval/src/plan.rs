@@ -3,7 +3,7 @@
 
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use scipsim::{SimulationOptions, World, generate::KINDS};
+use scipsim::{PoseSource, SimulationOptions, World, generate::KINDS};
 
 /// Seeds of generated worlds that rules may be tuned on, with all shipped worlds. 3, 4 and 201 to 203 were looked at for it too.
 const TUNING: [u64; 2] = [1, 2];
@@ -49,7 +49,7 @@ pub struct Variant {
 pub const PLAIN: Variant = Variant { name: "plain", apply: |_| {} };
 
 /// All variants.
-pub const VARIANTS: [Variant; 15] = [
+pub const VARIANTS: [Variant; 17] = [
     PLAIN,
     Variant { name: "lean-0", apply: |o| o.lean_deg = Some(0.0) },
     Variant { name: "lean-0.5", apply: |o| o.lean_deg = Some(0.5) },
@@ -58,6 +58,8 @@ pub const VARIANTS: [Variant; 15] = [
     Variant { name: "gain-1.4", apply: |o| o.intensity_gain = 1.4 },
     Variant { name: "no-intensity", apply: |o| o.intensity = false },
     Variant { name: "pose-error-2", apply: |o| o.pose_error = 2.0 },
+    Variant { name: "true-poses", apply: |o| o.poses = PoseSource::Exact },
+    Variant { name: "wheels", apply: |o| o.poses = PoseSource::Wheels },
     Variant { name: "speed-0.5", apply: |o| o.speed = 0.5 },
     Variant { name: "speed-2", apply: |o| o.speed = 2.0 },
     Variant { name: "20-hz", apply: |o| o.scan_rate = 20.0 },

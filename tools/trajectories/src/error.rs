@@ -16,6 +16,22 @@ pub struct TrajectoryError {
     pub end: f64,
     /// The greatest distance (m).
     pub max: f64,
+    /// By how much the error changes at most from one pose to the next (m).
+    pub jump: f64,
+}
+
+impl TrajectoryError {
+    /// The greater of each.
+    pub fn worst(&self, other: &TrajectoryError) -> TrajectoryError {
+        TrajectoryError {
+            raw: self.raw.max(other.raw),
+            aligned: self.aligned.max(other.aligned),
+            heading: self.heading.max(other.heading),
+            end: self.end.max(other.end),
+            max: self.max.max(other.max),
+            jump: self.jump.max(other.jump),
+        }
+    }
 }
 
 /// Errors of pairs of an estimated and a true pose.
@@ -40,12 +56,15 @@ pub fn error(pairs: &[(Pose, Pose)]) -> TrajectoryError {
         .sum();
     let headings: f64 =
         pairs.iter().map(|(found, truth)| found.rotation.angle_to(&truth.rotation).powi(2)).sum();
+    let off = |pair: &(Pose, Pose)| place(&pair.0) - place(&pair.1);
+    let jumps = pairs.windows(2).map(|pair| (off(&pair[1]) - off(&pair[0])).norm());
     TrajectoryError {
         raw: (distances.iter().map(|d| d * d).sum::<f64>() / count).sqrt(),
         aligned: (aligned / count).sqrt(),
         heading: (headings / count).sqrt(),
         end: distances.last().copied().unwrap_or_default(),
         max: distances.iter().copied().fold(0.0, f64::max),
+        jump: jumps.fold(0.0, f64::max),
     }
 }
 

@@ -59,7 +59,7 @@ impl KnownMap {
         mapper.finish();
         let bytes = mapper.save().context("the grid can be saved")?.encode()?;
         let saved = SavedMap::decode(&bytes)?;
-        println!(
+        eprintln!(
             "{} seed {seed}: {} scans, {:.2} MB",
             world.name,
             drive.scans.len(),
@@ -119,16 +119,15 @@ impl KnownMap {
         })
     }
 
-    /// Puts a robot down at `count` places of a world, whose drive was along `path_of`'s, and says what became of them.
+    /// Puts a robot down at `count` places of a world, whose own map is `places_of`, and says what became of them.
     pub fn put_down(
         &self,
         world: &World,
         places_of: &KnownMap,
         count: u32,
-        seconds: f64,
-        stands: bool,
-        seed: u64,
+        Trial { seconds, stands, seed, .. }: Trial,
     ) -> Result<Counts> {
+        let seed = seed + 100;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let is_here = std::ptr::eq(self, places_of);
         let mut counts = Counts::default();
@@ -171,7 +170,7 @@ impl KnownMap {
             match (found, wrong) {
                 (Some(_), Some((off, turn))) => {
                     counts.wrong += 1;
-                    println!(
+                    eprintln!(
                         "  wrongly sure at {:.2} {:.2} {:.0}°: off by {off:.2} m, {:.1}°",
                         at.x,
                         at.y,
@@ -187,7 +186,7 @@ impl KnownMap {
                     counts.unsure += 1;
                     if is_here {
                         let report = mapper.report();
-                        println!(
+                        eprintln!(
                             "  unsure at {:.2} {:.2} {:.0}°: {:?}",
                             at.x,
                             at.y,
@@ -202,37 +201,56 @@ impl KnownMap {
     }
 }
 
-/// Makes the maps, puts robots down in each, in its own world and in the others, and prints a line each.
-pub fn run(worlds: &[String], seeds: &[u64], count: u32, seconds: f64, stands: bool) -> Result<()> {
-    for &seed in seeds {
-        let worlds: Vec<World> = worlds.iter().map(|name| World::load(name)).collect::<Result<_, _>>()?;
-        let maps: Vec<KnownMap> =
-            worlds.iter().map(|world| KnownMap::of(world, seed)).collect::<Result<_>>()?;
-        let print = |label: String, counts: Counts| {
-            println!(
-                "{label:40} right {:3}  unsure {:3}  wrong {:3}  slowest {:.1} s  longest scan {:.2} s",
-                counts.right, counts.unsure, counts.wrong, counts.slowest, counts.scan
-            );
-        };
-        for (map, world) in maps.iter().zip(&worlds) {
-            print(
-                format!("{} {seed}", world.name),
-                map.put_down(world, map, count, seconds, stands, seed + 100)?,
-            );
-        }
-        for (number, map) in maps.iter().enumerate() {
-            let mut all = Counts::default();
-            for (places_of, world) in maps.iter().zip(&worlds) {
-                if std::ptr::eq(places_of, map) {
-                    continue;
-                }
-                let each = (count / 4).max(1);
-                let counts = map.put_down(world, places_of, each, seconds, stands, seed + 100)?;
-                all.unsure += counts.unsure;
-                all.wrong += counts.wrong + counts.right;
-                all.scan = all.scan.max(counts.scan);
+/// How robots are put down.
+#[derive(Clone, Copy, Debug)]
+pub struct Trial {
+    /// So many in each map.
+    pub count: u32,
+    /// So long they may take to find out where (s).
+    pub seconds: f64,
+    /// Whether they stand all the time.
+    pub stands: bool,
+    /// Seed of places and noise.
+    pub seed: u64,
+}
+
+/// Puts robots down in the maps of these worlds, each in its own, and says what became of them, world by world; and a quarter as
+/// many in each of the other worlds with the same map, of which none can be right.
+pub fn trial(worlds: &[World], trial: Trial) -> Result<Vec<[Counts; 2]>> {
+    let Trial { count, seed, .. } = trial;
+    let maps: Vec<KnownMap> = worlds.iter().map(|world| KnownMap::of(world, seed)).collect::<Result<_>>()?;
+    let here_and_elsewhere = |(map, world): (&KnownMap, &World)| {
+        let here = map.put_down(world, map, count, trial)?;
+        let mut elsewhere = Counts::default();
+        for (places_of, world) in maps.iter().zip(worlds) {
+            if std::ptr::eq(places_of, map) {
+                continue;
             }
-            print(format!("elsewhere, with the map of {} {seed}", worlds[number].name), all);
+            let counts = map.put_down(world, places_of, (count / 4).max(1), trial)?;
+            elsewhere.unsure += counts.unsure;
+            elsewhere.wrong += counts.wrong + counts.right;
+            elsewhere.scan = elsewhere.scan.max(counts.scan);
+        }
+        Ok([here, elsewhere])
+    };
+    maps.iter().zip(worlds).map(here_and_elsewhere).collect()
+}
+
+/// Does so for several seeds and prints a line each.
+pub fn run(worlds: &[World], seeds: &[u64], count: u32, seconds: f64, stands: bool) -> Result<()> {
+    for &seed in seeds {
+        for (world, counts) in worlds.iter().zip(trial(worlds, Trial { count, seconds, stands, seed })?) {
+            for (counts, where_) in counts.iter().zip(["", "elsewhere, with the map of "]) {
+                println!(
+                    "{:40} right {:3}  unsure {:3}  wrong {:3}  slowest {:.1} s  longest scan {:.2} s",
+                    format!("{where_}{} {seed}", world.name),
+                    counts.right,
+                    counts.unsure,
+                    counts.wrong,
+                    counts.slowest,
+                    counts.scan
+                );
+            }
         }
     }
     Ok(())
