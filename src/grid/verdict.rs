@@ -184,17 +184,37 @@ impl Visagge {
 
     /// Whether a cell that is shown, right before or behind this one, got clearly more returns.
     fn is_outweighed(&self, index: CellIndex, cell: &Cell, judgement: &Judgement) -> bool {
-        let normal = judgement.line.filter(Line::is_flat).map(|line| f64::from(line.normal));
-        let (sin, cos) = normal.unwrap_or_else(|| cell.visible.range.middle().rad()).sin_cos();
-        let step = 1.0 / sin.abs().max(cos.abs());
+        let (x, y) = self.across(index, cell);
         [-2, -1, 1, 2].into_iter().any(|steps| {
-            let along = |part: f64| (f64::from(steps) * step * part).round() as i32;
-            let (place, column, row) = CellIndex { x: index.x + along(cos), y: index.y + along(sin) }.split();
+            let (place, column, row) = CellIndex { x: index.x + steps * x, y: index.y + steps * y }.split();
             let evidence = self.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
             evidence.and_then(|evidence| evidence.at(column, row)).is_some_and(|(other, judged)| {
-                judged.verdict.is_shown() && f32::from(other.hits) > OUTWEIGHS * f32::from(cell.hits)
+                let (more, less) = (f32::from(other.hits), f32::from(cell.hits));
+                // Two standard deviations of counts. A pane has few returns, and nothing stands right behind it that would be lost.
+                let is_certain = (more - less).powi(2) > 4.0 * (more + less);
+                judged.verdict.is_shown()
+                    && more > OUTWEIGHS * less
+                    && (is_certain || judgement.verdict != Verdict::Solid)
             })
         })
+    }
+
+    /// The step from a cell to the one behind it: across the row, column or diagonal in which most of its neighbours are shown. It is
+    /// not the direction of view, which runs along a wall at grazing incidence; only of rows alike, it says which.
+    fn across(&self, index: CellIndex, cell: &Cell) -> (i32, i32) {
+        let (sin, cos) = cell.visible.range.middle().rad().sin_cos();
+        let row = |&(x, y): &(i32, i32)| {
+            let in_row = |step: i32| CellIndex { x: index.x + step * x, y: index.y + step * y };
+            let shown = [-3, -2, -1, 1, 2, 3].into_iter().filter(|&step| self.is_shown(in_row(step))).count();
+            let (x, y) = (f64::from(x), f64::from(y));
+            let across_view = 1.0 - ((x * cos + y * sin) / x.hypot(y)).abs();
+            shown as f64 + across_view.min(0.999)
+        };
+        let (x, y) = [(1, 0), (1, 1), (0, 1), (-1, 1)]
+            .into_iter()
+            .max_by(|a, b| row(a).total_cmp(&row(b)))
+            .expect("there are four");
+        (-y, x)
     }
 
     fn judge_images(&mut self) {

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
+use scipsim::score::thinned;
 
 use crate::canvas::{Canvas, Colour};
 
@@ -17,6 +18,9 @@ pub struct Arguments {
     first: PathBuf,
     /// Folder of the map it is compared with.
     second: PathBuf,
+    /// Look for the middle lines of either map's surfaces in the other, thinned as for the marks: one may draw them thicker.
+    #[arg(long)]
+    thin: bool,
     /// Picture of the differences: both black, only the first red, only the second blue.
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
@@ -37,6 +41,8 @@ struct Nav2Map {
     origin: [f64; 2],
     width: usize,
     occupied: Vec<bool>,
+    /// Those of them that are looked for in the other map.
+    sought: Vec<bool>,
     known: Vec<bool>,
     /// Layer `verdict` of map.npz, where there is one.
     verdicts: Option<Vec<u8>>,
@@ -44,7 +50,7 @@ struct Nav2Map {
 
 /// Cells of one map that the other lacks.
 struct Missing {
-    /// Occupied cells of the map.
+    /// Cells of the map that were looked for.
     of: usize,
     /// Columns and rows in the map.
     cells: Vec<[i64; 2]>,
@@ -59,7 +65,12 @@ impl Missing {
 /// Compares and prints.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let [a, b] = [&arguments.first, &arguments.second];
-    let (first, second) = (Nav2Map::read(a)?, Nav2Map::read(b)?);
+    let [mut first, mut second] = [Nav2Map::read(a)?, Nav2Map::read(b)?];
+    if arguments.thin {
+        for map in [&mut first, &mut second] {
+            map.sought = thinned(&map.occupied, map.width);
+        }
+    }
     let both = [(a, &first, b, &second), (b, &second, a, &first)];
     let mut agreements = Vec::new();
     for (name, map, other_name, other) in both {
@@ -194,11 +205,13 @@ impl Nav2Map {
         let rows = grey.chunks(width.max(1)).rev().flatten();
         let dark: Vec<f64> = rows.map(|&value| f64::from(255 - value) / 255.0).collect();
         ensure!(dark.len() == width * height, "map.pgm is cut off");
+        let occupied: Vec<bool> = dark.iter().map(|dark| *dark > occupied_from).collect();
         Ok(Nav2Map {
             resolution: number(value("resolution")?)?,
             origin: [x, y],
             width,
-            occupied: dark.iter().map(|dark| *dark > occupied_from).collect(),
+            sought: occupied.clone(),
+            occupied,
             known: dark.iter().map(|dark| *dark > occupied_from || *dark < free_to).collect(),
             verdicts: None,
         })
@@ -206,8 +219,8 @@ impl Nav2Map {
 
     fn cells(&self) -> impl Iterator<Item = [i64; 2]> {
         let width = self.width;
-        let occupied = self.occupied.iter().enumerate().filter(|(_, occupied)| **occupied);
-        occupied.map(move |(cell, _)| [(cell % width) as i64, (cell / width) as i64])
+        let sought = self.sought.iter().enumerate().filter(|(_, sought)| **sought);
+        sought.map(move |(cell, _)| [(cell % width) as i64, (cell / width) as i64])
     }
 
     fn place(&self, x: i64, y: i64) -> Option<usize> {

@@ -131,7 +131,7 @@ fn any_within<T>(values: &[T], width: usize, cell: usize, reach: usize, is_so: i
 
 /// Thins to lines one cell wide (Zhang and Suen 1984). Only occupied cells are looked at, so its cost goes with
 /// their number.
-fn thinned(occupied: &[bool], width: usize) -> Vec<bool> {
+pub fn thinned(occupied: &[bool], width: usize) -> Vec<bool> {
     let height = occupied.len() / width;
     let mut thin = occupied.to_vec();
     // The border cannot be thinned and is left as it is.
