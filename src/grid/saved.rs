@@ -60,9 +60,9 @@ pub struct SavedTile {
     pub cells: Option<Vec<SavedCell>>,
 }
 
-/// See [`Cell`]; fields have its names.
+/// See [`Returns`] and [`Track`]; fields have their names.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[allow(missing_docs, reason = "they are those of Cell")]
+#[allow(missing_docs, reason = "they are theirs")]
 pub struct SavedCell {
     pub place: [u8; 2],
     pub occupancy: u8,
