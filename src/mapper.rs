@@ -221,7 +221,7 @@ pub struct LocalizeReport {
     /// drifted since it was begun is not in it.
     pub covariance: [f64; 6],
     /// CPU time of locating one scan (us).
-    pub match_us: InsertTime,
+    pub match_us: ScanTime,
     /// Memory that the matching maps hold (bytes).
     pub bytes: usize,
 }
@@ -242,7 +242,7 @@ impl LocalizeReport {
 
 /// Times that something took, scan by scan (us).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct InsertTime {
+pub struct ScanTime {
     /// Half of the scans took less.
     pub median: f64,
     /// 99 of 100 scans took less.
@@ -271,11 +271,11 @@ pub struct MapperReport {
     /// Poses that were no newer than the one before.
     pub poses_out_of_order: u64,
     /// CPU time of one insertion, from ranges to updated map (us).
-    pub insert_us: InsertTime,
+    pub insert_us: ScanTime,
     /// From the last byte of a scan on the wire to the map that holds it, waiting for poses included (us, wall time); absent in a
     /// replay.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub latency_us: Option<InsertTime>,
+    pub latency_us: Option<ScanTime>,
     /// Memory that the grid holds (bytes).
     pub map_bytes: usize,
     /// How the scans were located; absent where poses in the map were given.
@@ -446,7 +446,7 @@ impl Mapper {
             scans_missing: self.missing,
             poses_read: self.poses_read,
             poses_out_of_order: self.poses_out_of_order,
-            insert_us: InsertTime::of(&self.insert_ns),
+            insert_us: ScanTime::of(&self.insert_ns),
             latency_us: None,
             map_bytes: self.grid.bytes(),
             localization: self.matching.as_ref().map(|matching| Box::new(matching.report())),
@@ -625,17 +625,17 @@ impl Matching {
             fallen_back: self.fallen_back,
             searched_in_vain: self.localizer.is_ambiguous(),
             covariance: self.covariance,
-            match_us: InsertTime::of(&self.time_ns),
+            match_us: ScanTime::of(&self.time_ns),
             bytes: self.localizer.bytes(),
         }
     }
 }
 
-impl InsertTime {
+impl ScanTime {
     /// Of times in ns.
-    pub fn of(times_ns: &Histogram<u64>) -> InsertTime {
+    pub fn of(times_ns: &Histogram<u64>) -> ScanTime {
         let us = |ns: u64| ns as f64 / 1e3;
-        InsertTime {
+        ScanTime {
             median: us(times_ns.value_at_quantile(0.5)),
             p99: us(times_ns.value_at_quantile(0.99)),
             max: us(times_ns.max()),

@@ -129,20 +129,8 @@ impl Returns {
 /// kept as [`Returns`] and a [`Track`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cell {
-    /// See [`Returns`].
-    pub place: [u8; 2],
-    /// See [`Returns`].
-    pub occupancy: u8,
-    /// See [`Returns`].
-    pub passes: u8,
-    /// See [`Returns`].
-    pub hits: u16,
-    /// See [`Returns`].
-    pub was_crossed: bool,
-    /// See [`Returns`].
-    pub centroid: [f32; 2],
-    /// See [`Returns`].
-    pub(super) hit_time: [f32; 2],
+    /// What is known of its returns.
+    pub returns: Returns,
     /// phi_VIS: the widest range from which it was continuously observed.
     pub visible: Visible,
     /// The widest such range apart from `visible`; empty where `way` is negative.
@@ -157,16 +145,9 @@ impl Cell {
     /// The cell of which this is kept.
     #[inline(always)]
     pub fn of(returns: &Returns, track: &Track) -> Cell {
-        let &Returns { place, occupancy, passes, hits, was_crossed, centroid, hit_time, .. } = returns;
         let [visible, visible_too] = track.visibles();
         Cell {
-            place,
-            occupancy,
-            passes,
-            hits,
-            was_crossed,
-            centroid,
-            hit_time,
+            returns: *returns,
             visible,
             visible_too,
             missed: track.missed,
@@ -176,17 +157,17 @@ impl Cell {
 
     /// Its place in the map, in this tile.
     pub fn index(&self, tile: TileIndex) -> CellIndex {
-        tile.cell(usize::from(self.place[0]), usize::from(self.place[1]))
+        tile.cell(usize::from(self.returns.place[0]), usize::from(self.returns.place[1]))
     }
 
     /// Mean place of its returns in the map (m), in a grid of this resolution (m), `index` being its place there.
     pub fn returns_at(&self, index: CellIndex, resolution: f64) -> [f64; 2] {
-        let [x, y] = self.centroid.map(f64::from);
+        let [x, y] = self.returns.centroid.map(f64::from);
         [(f64::from(index.x) + x) * resolution, (f64::from(index.y) + y) * resolution]
     }
 
     /// Time from its first return to its last (s).
     pub fn lasted(&self) -> f32 {
-        self.hit_time[1] - self.hit_time[0]
+        self.returns.hit_time[1] - self.returns.hit_time[0]
     }
 }

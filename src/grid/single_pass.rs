@@ -19,7 +19,7 @@ impl Visagge {
             .cells()
             .map(|(index, cell, _)| {
                 let view = cell.visible.range;
-                let doubtful = u32::from(view.width) < uncertain && cell.passes == 0;
+                let doubtful = u32::from(view.width) < uncertain && cell.returns.passes == 0;
                 (index, doubtful.then(|| view.middle().rad()))
             })
             .collect();

@@ -99,8 +99,8 @@ impl Visagge {
                 map.visibility[place] = specularity(&cell);
             }
             for ((_, layer), value) in bytes.iter_mut().zip([
-                cell.occupancy,
-                cell.passes,
+                cell.returns.occupancy,
+                cell.returns.passes,
                 judgement.verdict as u8,
                 judgement.image.number(),
             ]) {
@@ -108,7 +108,7 @@ impl Visagge {
             }
             let too = if cell.visible_too.way >= 0.0 { cell.visible_too.range } else { Default::default() };
             let values = [
-                cell.hits,
+                cell.returns.hits,
                 cell.visible.range.start.0,
                 cell.visible.range.width,
                 too.start.0,

@@ -156,7 +156,7 @@ impl Window {
                     window.cells.push(Neighbour {
                         at: cell.returns_at(index, grid.resolution),
                         seen_from: cell.visible.range.middle(),
-                        weight: f64::from(cell.occupancy.min(WEIGHT)),
+                        weight: f64::from(cell.returns.occupancy.min(WEIGHT)),
                         is_solid: is_solid(&cell, &grid.settings),
                     });
                 }

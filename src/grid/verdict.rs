@@ -126,19 +126,25 @@ impl Visagge {
         }
     }
 
-    /// Shows cells in the gaps of what is shown. A pane is seen cell by cell, for a few scans each: where somebody stands in
-    /// between, or two cells share a return, single ones have too little to be a surface by themselves.
-    fn bridge_gaps(&mut self) {
-        let mut bridged = Vec::new();
+    /// The cells of which this holds: the number of the tile, and that of the cell in it.
+    fn find(&self, holds: impl Fn(CellIndex, &Cell, &Judgement) -> bool) -> Vec<(usize, usize)> {
+        let mut found = Vec::new();
         for number in 0..self.tiles.len() {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
             for (at, (cell, judgement)) in evidence.cells.iter().zip(&evidence.judgements).enumerate() {
-                if !judgement.shape.is_shown() && self.is_in_gap(cell.index(place)) {
-                    bridged.push((number, at));
+                if holds(cell.index(place), &cell, judgement) {
+                    found.push((number, at));
                 }
             }
         }
+        found
+    }
+
+    /// Shows cells in the gaps of what is shown. A pane is seen cell by cell, for a few scans each: where somebody stands in
+    /// between, or two cells share a return, single ones have too little to be a surface by themselves.
+    fn bridge_gaps(&mut self) {
+        let bridged = self.find(|index, _, judgement| !judgement.shape.is_shown() && self.is_in_gap(index));
         // Afterwards, so that no cell is held by one that is bridged itself.
         for (number, at) in bridged {
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("the cell is in it");
@@ -169,16 +175,10 @@ impl Visagge {
     /// Draws surfaces one cell thick: ranges and poses spread the returns of a wall over cells one behind the other, and those
     /// are shown that got the most.
     fn thin(&mut self) {
-        let mut beside = Vec::new();
-        for number in 0..self.tiles.len() {
-            let place = self.tiles.place(number);
-            let Some(evidence) = &self.tiles.at(number).evidence else { continue };
-            for (at, (cell, judgement)) in evidence.cells.iter().zip(&evidence.judgements).enumerate() {
-                if judgement.verdict.is_shown() && self.is_outweighed(cell.index(place), &cell, judgement) {
-                    beside.push((number, at));
-                }
-            }
-        }
+        let beside = self.find(|index, cell, judgement| {
+            judgement.verdict.is_shown() && self.is_outweighed(index, cell, judgement)
+        });
+        // Afterwards, so that a cell weighs the same in the verdict on all around it.
         for (number, at) in beside {
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("the cell is in it");
             evidence.judgements[at].verdict = Verdict::Beside;
@@ -192,7 +192,7 @@ impl Visagge {
             let (place, column, row) = CellIndex { x: index.x + steps * x, y: index.y + steps * y }.split();
             let evidence = self.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
             evidence.and_then(|evidence| evidence.at(column, row)).is_some_and(|(other, judged)| {
-                let (more, less) = (f32::from(other.hits), f32::from(cell.hits));
+                let (more, less) = (f32::from(other.returns.hits), f32::from(cell.returns.hits));
                 // Two standard deviations of counts. A pane has few returns, and nothing stands right behind it that would be lost.
                 let is_certain = (more - less).powi(2) > 4.0 * (more + less);
                 judged.verdict.is_shown()
@@ -206,17 +206,14 @@ impl Visagge {
     /// not the direction of view, which runs along a wall at grazing incidence; only of rows alike, it says which.
     fn across(&self, index: CellIndex, cell: &Cell) -> (i32, i32) {
         let (sin, cos) = cell.visible.range.middle().rad().sin_cos();
-        let row = |&(x, y): &(i32, i32)| {
+        let rows = [(1, 0), (1, 1), (0, 1), (-1, 1)].map(|(x, y)| {
             let in_row = |step: i32| CellIndex { x: index.x + step * x, y: index.y + step * y };
             let shown = [-3, -2, -1, 1, 2, 3].into_iter().filter(|&step| self.is_shown(in_row(step))).count();
-            let (x, y) = (f64::from(x), f64::from(y));
-            let across_view = 1.0 - ((x * cos + y * sin) / x.hypot(y)).abs();
-            shown as f64 + across_view.min(0.999)
-        };
-        let (x, y) = [(1, 0), (1, 1), (0, 1), (-1, 1)]
-            .into_iter()
-            .max_by(|a, b| row(a).total_cmp(&row(b)))
-            .expect("there are four");
+            let along = f64::from(x) * cos + f64::from(y) * sin;
+            let across_view = 1.0 - (along / f64::from(x).hypot(f64::from(y))).abs();
+            (shown as f64 + across_view.min(0.999), (x, y))
+        });
+        let (_, (x, y)) = rows.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)).expect("there are four");
         (-y, x)
     }
 
@@ -264,9 +261,9 @@ impl Visagge {
         evidence.has_mirrors = false;
         for (cell, judgement) in evidence.cells.iter().zip(&mut evidence.judgements) {
             // Of what is shown in any case and nothing is seen through, the surface does not matter.
-            let is_shown = is_solid(&cell, settings) && !is_gone(&cell, None, settings) || cell.passes > 0;
+            let is_shown = shape(&cell, None, settings).is_shown();
             let is_seen_through = u32::from(cell.missed.width) >= units(SEEN_THROUGH);
-            let matters = cell.occupancy >= LEAST_HITS && (!is_shown || is_seen_through);
+            let matters = cell.returns.occupancy >= LEAST_HITS && (!is_shown || is_seen_through);
             let line = if matters {
                 let index = cell.index(place);
                 let plane = window.surface(index, &cell, units(OF_PLANE));
@@ -278,7 +275,7 @@ impl Visagge {
             };
             *judgement =
                 Judgement { line, shape: shape(&cell, line.as_ref(), settings), ..Judgement::default() };
-            let [column, row] = cell.place;
+            let [column, row] = cell.returns.place;
             if judgement.shape.is_shown() {
                 evidence.shown[usize::from(row)] |= 1 << column;
                 if is_seen_through && line.is_some_and(|line| line.is_flat()) {
@@ -299,7 +296,7 @@ impl Visagge {
 pub(super) fn is_solid(cell: &Cell, settings: &VisaggeSettings) -> bool {
     let width = u32::from(cell.visible.range.width);
     width >= 2 * u32::from(cell.missed.width)
-        && (!cell.was_crossed
+        && (!cell.returns.was_crossed
             || width >= units(WIDE)
             || cell.lasted() >= LASTING
             || !settings.has(Idea::Newcomers))
@@ -328,13 +325,13 @@ fn is_gone(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> bool
 }
 
 fn shape(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> Verdict {
-    if cell.occupancy < LEAST_HITS {
+    if cell.returns.occupancy < LEAST_HITS {
         return Verdict::TooFew;
     }
     if is_solid(cell, settings) && !is_gone(cell, line, settings) {
         return Verdict::Solid;
     }
-    if cell.passes > 0 {
+    if cell.returns.passes > 0 {
         return Verdict::Repeated;
     }
     let is_explained = line.is_some_and(|line| explains(line, cell, settings));
@@ -387,7 +384,7 @@ mod tests {
         let box_ = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0 };
         let missed = |from: f64, seen_again| {
             let mut cell = Cell::of(&Returns::new([0, 0], false), &Track::default());
-            cell.occupancy = 9;
+            cell.returns.occupancy = 9;
             cell.visible.range = AngleRange { start: Angle(0), width: units(1.0) as u16 };
             let start = Angle::from_rad(from.to_radians());
             cell.missed = AngleRange { start, width: units(5f64.to_radians()) as u16 };

@@ -12,7 +12,7 @@ use super::clock;
 use super::queues::Sender;
 use super::shared::{Shared, lock};
 use crate::map::Map;
-use crate::mapper::{InsertTime, Mapper, MapperReport, Outcome, times};
+use crate::mapper::{Mapper, MapperReport, Outcome, ScanTime, times};
 use crate::pose::{Pose, StampedPose};
 use crate::record::{Attachment, Record};
 use crate::saved::SavedMap;
@@ -118,7 +118,7 @@ impl Mapping {
     }
 
     fn report(&self, delays: &Delays) -> MapperReport {
-        MapperReport { latency_us: Some(InsertTime::of(&delays.ns)), ..self.mapper.report() }
+        MapperReport { latency_us: Some(ScanTime::of(&delays.ns)), ..self.mapper.report() }
     }
 
     fn tell_outcomes(&mut self, delays: &mut Delays) {

@@ -71,12 +71,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             map.sought = thinned(&map.occupied, map.width);
         }
     }
+    let what = if arguments.thin { "middle" } else { "occupied" };
     let both = [(a, &first, b, &second), (b, &second, a, &first)];
     let mut agreements = Vec::new();
     for (name, map, other_name, other) in both {
         let missing = map.missing_in(other)?;
         println!(
-            "{:.2} % of the {} occupied cells of {} are within one cell of one of {}; {} are not",
+            "{:.2} % of the {} {what} cells of {} are within one cell of one of {}; {} are not",
             missing.agreement(),
             missing.of,
             name.display(),
