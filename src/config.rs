@@ -300,6 +300,7 @@ impl Config {
         within("mapper.visagge.no_return_range", grid.no_return_range, 0.0, 30.0)?;
         within("mapper.visagge.contradiction", grid.contradiction, 1, 100)?;
         within("mapper.visagge.occupancy_cap", grid.occupancy_cap, 1, 200)?;
+        within("mapper.visagge.look_every", grid.look_every, 0.0, 1.0)?;
         within("mapper.visagge.body_radius", grid.body_radius, 0.0, 1.0)?;
         let localize = &mapper.localize;
         within("mapper.localize.spacing", localize.spacing, 0.02, 1.0)?;

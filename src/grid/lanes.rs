@@ -126,7 +126,7 @@ fn record_lane(
         track.end_run();
     }
     let look = Look { angle: sight.angle, range: sight.range, way: glance.way };
-    let event = track.record(observation, &look, glance.rule);
+    let event = track.record(observation, &look, glance.scans, glance.rule);
     block.set(lane, track);
     if event != Event::None {
         tell(lane, event);
@@ -293,7 +293,7 @@ mod avx2 {
         let becomes_too =
             _mm256_and_si256(apart, _mm256_or_si256(not(has_too), at_least(sector.width, too.width)));
         // Missed: often enough, and nowhere near where it was seen.
-        let missed_scans_now = _mm256_adds_epu16(missed_scans, words(1));
+        let missed_scans_now = _mm256_adds_epu16(missed_scans, words(glance.scans));
         let often = _mm256_or_si256(
             missed,
             _mm256_and_si256(silent, at_least(missed_scans_now, words(rule.silent_scans))),

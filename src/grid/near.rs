@@ -9,6 +9,72 @@ use super::{
     view::{HAIR, Tolerance, View},
 };
 
+/// What is nearer than this is looked at in each scan (m): at 1 m/s, what is 1 m away is seen from 6 degrees elsewhere by its
+/// next turn.
+const CLOSE: f32 = 1.0;
+
+/// Whose turn it is to be looked at. From one scan to the next, what is some metres away is seen from nearly the same angle, with the
+/// same error of the pose: it would say the same once more. So tiles take turns, quarter by quarter.
+#[derive(Clone, Copy, Debug)]
+pub struct Turns {
+    /// Quarters of the time between two turns of a tile, since the first scan: at the last scan and at the one before.
+    now: i32,
+    before: i32,
+    /// Such that were added where scans were lost, so that nobody's turns are in a row there.
+    lost: i32,
+}
+
+impl Default for Turns {
+    fn default() -> Self {
+        Turns { now: -4, before: -8, lost: 0 }
+    }
+}
+
+impl Turns {
+    /// Goes on to a scan, so long after the first one (ns). `period`: from one turn of a tile to the next (s); 0 if each scan is
+    /// everybody's. `follows`: no scan was lost before it.
+    pub fn go_on(&mut self, elapsed_ns: i64, period: f64, follows: bool) {
+        self.before = self.now;
+        self.lost = self.lost.wrapping_add(if follows { 0 } else { 8 });
+        self.now = if period > 0.0 {
+            ((elapsed_ns as f64 * 1e-9 / period * 4.0) as i32).wrapping_add(self.lost)
+        } else {
+            self.now.wrapping_add(if follows { 4 } else { 8 })
+        };
+    }
+
+    /// Whether a tile is looked at in this scan; `square`: how far its middle is (m, squared), `slack`: see [`slack`].
+    #[inline(always)]
+    pub fn have_come(self, place: TileIndex, square: f32, slack: f32) -> bool {
+        self.are_of(place) | (square <= (CLOSE + slack) * (CLOSE + slack))
+    }
+
+    /// Whether this scan is one of a tile's turns, wherever it is.
+    #[inline(always)]
+    pub fn are_of(self, place: TileIndex) -> bool {
+        number(self.now, place) != number(self.before, place)
+    }
+
+    /// Number of the last turn that a tile had.
+    pub fn number(self, place: TileIndex) -> i32 {
+        number(self.now, place)
+    }
+}
+
+fn radius(side: f32) -> f32 {
+    side * std::f32::consts::FRAC_1_SQRT_2
+}
+
+/// By how much the nearest cell of a tile may be nearer than its middle (m).
+pub fn slack(view: &View, side: f32) -> f32 {
+    radius(side) + view.moved() + HAIR
+}
+
+#[inline(always)]
+fn number(quarters: i32, place: TileIndex) -> i32 {
+    quarters.wrapping_add((place.x + 2 * place.y) & 3) >> 2
+}
+
 /// Tiles within reach, by their number, and how the sensor sees the disc around each.
 #[derive(Debug, Default)]
 pub struct Near {
@@ -23,22 +89,33 @@ pub struct Near {
 }
 
 impl Near {
-    /// Finds the tiles. `side`: between the middles of the first and the last cell (m).
+    /// Finds those whose turn it is, those that were hit since their last one wherever the scanner looks now. `side`: between the
+    /// middles of the first and the last cell (m).
     #[inline(always)]
-    pub fn find(&mut self, places: &[TileIndex], view: &View, tolerance: &Tolerance, side: f32) {
-        let radius = side * std::f32::consts::FRAC_1_SQRT_2;
-        let slack = radius + view.moved() + HAIR;
+    pub fn find(
+        &mut self,
+        places: &[TileIndex],
+        was_hit: &[bool],
+        turns: Turns,
+        view: &View,
+        tolerance: &Tolerance,
+        side: f32,
+    ) {
+        let radius = radius(side);
+        let slack = slack(view, side);
         let beyond = view.farthest() + tolerance.along as f32 + slack;
         for values in self.middles.iter_mut().chain([&mut self.nearest, &mut self.beam, &mut self.half]) {
             values.resize(places.len(), 0.0);
         }
         self.numbers.resize(places.len(), 0);
         let (mut count, [xs, ys]) = (0, &mut self.middles);
-        for (number, &place) in places.iter().enumerate() {
+        for (number, (&place, &was_hit)) in places.iter().zip(was_hit).enumerate() {
             let [x, y] = view.corner(place, tolerance.resolution).map(|at| at + side / 2.0);
             // Written in any case, counted if it shall stay: a branch here would be guessed wrong too often.
             (self.numbers[count], xs[count], ys[count]) = (number as u32, x, y);
-            count += usize::from(x * x + y * y <= beyond * beyond);
+            let square = x * x + y * y;
+            count +=
+                usize::from(turns.have_come(place, square, slack) & (was_hit | (square <= beyond * beyond)));
         }
         self.numbers.truncate(count);
         let per_rad = view.lens.beams_per_rad.abs();
@@ -59,6 +136,7 @@ impl Near {
         for tile in 0..count {
             let nearest = self.nearest[tile];
             let is_reached = nearest <= radius
+                || was_hit[self.numbers[tile] as usize]
                 || view.reaches(self.beam[tile], self.half[tile], nearest - tolerance.along as f32);
             (self.numbers[reached], self.nearest[reached]) = (self.numbers[tile], nearest);
             reached += usize::from(is_reached);

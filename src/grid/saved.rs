@@ -15,9 +15,9 @@ use super::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Time between the last scan before a grid was saved and the first one after it was loaded (ns): one turn of a UTM-30LX.
+/// Time between the last scan before a grid was saved and the first one after it was loaded (ns): every cell's turn to be looked at.
 /// However long it was, nothing was seen meanwhile, and nobody stood anywhere for longer because of it.
-pub const PAUSE_NS: i64 = 25_000_000;
+pub const PAUSE_NS: i64 = 100_000_000;
 /// Tiles in the smallest rectangle around all, at most: 2.6 km2 at 5 cm. More is no map but a damaged file.
 const MOST_TILES: i64 = 1 << 18;
 

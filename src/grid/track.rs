@@ -124,12 +124,14 @@ impl Track {
     }
 
     /// Core steps 2 to 4. Where something nearer returned, or the cell is outside of the field of view, nothing goes on.
-    pub fn record(&mut self, observation: Observation, look: &Look, rule: &Rule) -> Event {
+    /// `scans`: how many there were since the look before.
+    pub fn record(&mut self, observation: Observation, look: &Look, scans: u16, rule: &Rule) -> Event {
         let (before, was) = (self.sector, self.run);
         self.place &= !HIT;
         match observation {
             Observation::Seen => self.record_seen(before, was, look, rule),
             Observation::Missed | Observation::Silent => {
+                self.missed_scans = self.missed_scans.saturating_add(scans);
                 self.record_missed(look, observation == Observation::Silent, rule)
             }
             Observation::Hidden => {
@@ -189,7 +191,6 @@ impl Track {
     /// Core steps 3 and 4: the beams went past; `silent`, they returned nothing at all.
     fn record_missed(&mut self, look: &Look, silent: bool, rule: &Rule) -> Event {
         self.go_on(Run::Missed, look);
-        self.missed_scans = self.missed_scans.saturating_add(1);
         if silent && self.missed_scans < rule.silent_scans {
             return Event::None;
         }
@@ -348,7 +349,7 @@ mod tests {
             let look = self.look(degrees);
             let observation = if seen { Observation::Seen } else { Observation::Missed };
             self.cell.occupancy += u8::from(seen);
-            let event = self.track.record(observation, &look, &RULE);
+            let event = self.track.record(observation, &look, 1, &RULE);
             self.cell.record(event, &RULE);
             event == Event::Contradiction
         }
@@ -428,7 +429,7 @@ mod tests {
             if degrees.rem_euclid(2) != 0 && !(-4..=6).contains(&degrees) {
                 assert!(!drive.scan(f64::from(degrees), false));
             } else {
-                drive.track.record(Observation::Hidden, &drive.look(f64::from(degrees)), &RULE);
+                drive.track.record(Observation::Hidden, &drive.look(f64::from(degrees)), 1, &RULE);
             }
         }
         assert!(drive.track.missed.width <= 1);

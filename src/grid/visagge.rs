@@ -10,7 +10,7 @@ use super::{
     free::Outline,
     idea::Idea,
     lanes::{self, Path, Sights},
-    near::Near,
+    near::{Near, Turns},
     rays::Rays,
     saved::PAUSE_NS,
     slots::Slots,
@@ -46,6 +46,9 @@ pub struct VisaggeSettings {
     pub occupancy_cap: u8,
     /// Whether a second range of view angles is kept, for what is seen from two sides.
     pub two_ranges: bool,
+    /// Time from one look at a cell to the next, but for what is within a metre (s, 0..1). Default 0.1; 0: it is looked at in
+    /// each scan. Every return counts in any case.
+    pub look_every: f64,
     /// Whatever stood within this distance of the sensor's own path is gone (m, 0..1).
     pub body_radius: f64,
     /// Ideas that the verdict does without, to see what they are worth.
@@ -64,6 +67,7 @@ impl Default for VisaggeSettings {
             contradiction: 5,
             occupancy_cap: 30,
             two_ranges: true,
+            look_every: 0.1,
             body_radius: 0.2,
             without: Vec::new(),
         }
@@ -107,8 +111,9 @@ impl VisaggeSettings {
 pub(super) struct Evidence {
     slots: Slots,
     pub(super) cells: Cells,
-    /// The last scan that these were compared with.
+    /// The last scan that these were compared with, and the number of their turn.
     looked_scan: u32,
+    looked_turn: i32,
     /// What was last judged of each of `cells`.
     pub(super) judgements: Vec<Judgement>,
     /// A bit for each cell that is shown unless it is an image, a word a row.
@@ -127,6 +132,7 @@ impl Default for Evidence {
             slots: Slots::default(),
             cells: Cells::default(),
             looked_scan: 0,
+            looked_turn: 0,
             judgements: Vec::new(),
             shown: [0; SIDE as usize],
             mirrors: [0; SIDE as usize],
@@ -146,6 +152,14 @@ impl Evidence {
         self.cells.push(returns, track);
         cells::push(&mut self.judgements, Judgement::default());
         number
+    }
+
+    /// Takes note of being looked at, and gives whether this follows the look before, and how many scans there were since.
+    fn look(&mut self, scan: u32, turn: i32) -> (bool, u16) {
+        let scans = scan - self.looked_scan;
+        let follows = scans <= 1 || turn.wrapping_sub(self.looked_turn) <= 1;
+        (self.looked_scan, self.looked_turn) = (scan, turn);
+        (follows, if follows { scans.min(u32::from(u16::MAX)) as u16 } else { 1 })
     }
 
     /// Takes these cells, which lie at different places; of the places of their tracks only the marks count.
@@ -217,8 +231,10 @@ pub(super) struct Glance<'a> {
     pub rule: &'a Rule,
     /// Way that the sensor has driven (m).
     pub way: f32,
-    /// Whether the tile was compared with the scan before.
+    /// Whether the tile was looked at when it could have been last.
     pub follows: bool,
+    /// Scans since then, with this one.
+    pub scans: u16,
 }
 
 /// Rounded down; without SSE4.1, `floor` is a call.
@@ -257,6 +273,9 @@ pub struct Visagge {
     points: [Vec<f32>; 2],
     outline: Outline,
     near: Near,
+    turns: Turns,
+    /// By number, which tiles were hit since they were last looked at.
+    was_hit: Vec<bool>,
     /// Of the tile in work.
     sights: Box<[Sights; (SIDE * SIDE) as usize / LANES]>,
     /// Number of the last scan: one more for the next, two more where scans were lost in between.
@@ -286,6 +305,8 @@ impl Visagge {
             points: Default::default(),
             outline: Outline::default(),
             near: Near::default(),
+            turns: Turns::default(),
+            was_hit: Vec::new(),
             sights: Box::new([Sights::default(); (SIDE * SIDE) as usize / LANES]),
             scan: 0,
             seq: None,
@@ -300,7 +321,7 @@ impl Visagge {
     /// An empty grid that works as the paper has it: one range of view angles, a constant error of the
     /// localization, a beam without return as good as any, and the single-pass motion removal.
     pub fn as_in_the_paper(resolution: f64, settings: VisaggeSettings) -> Visagge {
-        let settings = VisaggeSettings { two_ranges: false, ..settings };
+        let settings = VisaggeSettings { two_ranges: false, look_every: 0.0, ..settings };
         Visagge { as_in_the_paper: true, ..Visagge::new(resolution, settings) }
     }
 
@@ -324,7 +345,9 @@ impl Visagge {
         let rule = self.rule(sweep);
         self.record_hits(sweep, &rule);
         self.record_observations::<P>(&rule);
-        self.record_free();
+        if self.turns.are_of(TileIndex { x: 0, y: 0 }) {
+            self.record_free();
+        }
         self.free_body();
     }
 
@@ -352,6 +375,7 @@ impl Visagge {
             self.way += (middle[0] - before[0]).hypot(middle[1] - before[1]) as f32;
         }
         self.middle = Some(middle);
+        self.turns.go_on(self.elapsed_ns, self.settings.look_every, follows);
         self.rays.load(sweep, self.resolution);
         self.view.load(sweep, self.settings.range_max, &self.tolerance);
     }
@@ -359,7 +383,7 @@ impl Visagge {
     /// Core step 1: where a return lands, the cell is more likely to be occupied.
     #[inline(always)]
     fn record_hits(&mut self, sweep: &Sweep, rule: &Rule) {
-        let Visagge { tiles, rays, distances, points, .. } = self;
+        let Visagge { tiles, was_hit, rays, distances, points, .. } = self;
         let far = self.settings.range_max as f32;
         distances.clear();
         distances.extend(
@@ -377,6 +401,8 @@ impl Visagge {
             let (place, column, row) = index.split();
             if recent.0 != place {
                 recent = (place, tiles.find_or_make(TileIndex { x: base.x + place.x, y: base.y + place.y }));
+                was_hit.resize(tiles.len(), false);
+                was_hit[recent.1] = true;
             }
             let tile = tiles.at_mut(recent.1);
             let evidence = tile.evidence.get_or_insert_default();
@@ -398,17 +424,19 @@ impl Visagge {
     /// Core steps 2 to 5 for every cell with evidence that the scan may say something of.
     #[inline(always)]
     fn record_observations<P: Path>(&mut self, rule: &Rule) {
-        let Visagge { tiles, view, tolerance, near, sights, .. } = self;
+        let Visagge { tiles, turns, was_hit, view, tolerance, near, sights, .. } = self;
         let side = (f64::from(SIDE - 1) * self.resolution) as f32;
-        near.find(tiles.places(), view, tolerance, side);
+        was_hit.resize(tiles.len(), false);
+        near.find(tiles.places(), was_hit, *turns, view, tolerance, side);
         for (number, nearest) in near.tiles() {
-            let corner = view.corner(tiles.place(number), self.resolution);
+            let place = tiles.place(number);
+            let corner = view.corner(place, self.resolution);
             let Some(evidence) = &mut tiles.at_mut(number).evidence else { continue };
             view.prepare(nearest);
-            let follows = self.scan - evidence.looked_scan <= 1;
-            evidence.looked_scan = self.scan;
-            let glance =
-                Glance { view, corner, resolution: self.resolution as f32, rule, way: self.way, follows };
+            was_hit[number] = false;
+            let (follows, scans) = evidence.look(self.scan, turns.number(place));
+            let resolution = self.resolution as f32;
+            let glance = Glance { view, corner, resolution, rule, way: self.way, follows, scans };
             let mut removed = false;
             let Cells { returns, blocks } = &mut evidence.cells;
             for (block, sights) in blocks.iter().zip(&mut **sights) {
@@ -489,9 +517,10 @@ mod tests {
     use super::*;
     use crate::{
         grid::{
+            near,
             sweep::tests::half_circle,
             track::{Run, Sector},
-            view::Observation,
+            view::{HIT, Observation},
         },
         pose::pose,
         scan::Scan,
@@ -505,31 +534,40 @@ mod tests {
             let rule = self.rule(sweep);
             self.record_hits(sweep, &rule);
             self.view.prepare(0.0);
+            let side = (f64::from(SIDE - 1) * self.resolution) as f32;
+            let slack = near::slack(&self.view, side);
             for number in 0..self.tiles.len() {
-                let corner = self.view.corner(self.tiles.place(number), self.resolution);
+                let place = self.tiles.place(number);
+                let corner = self.view.corner(place, self.resolution);
+                let [x, y] = corner.map(|at| at + side / 2.0);
+                if !self.turns.have_come(place, x * x + y * y, slack) {
+                    continue;
+                }
                 let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
+                let (follows, scans) = evidence.look(self.scan, self.turns.number(place));
                 for number in 0..evidence.cells.len() {
                     let mut track = evidence.cells.track(number);
                     let returns = &mut evidence.cells.returns[number];
-                    if self.scan - evidence.looked_scan > 1 {
+                    if !follows {
                         track.end_run();
                     }
                     let at =
                         |axis: usize| corner[axis] + f32::from(returns.place[axis]) * self.resolution as f32;
                     let sight = self.view.sight(at(0), at(1));
                     let look = Look { angle: sight.angle, range: sight.range, way: self.way };
-                    let observation = if returns.hit_scan == self.scan {
+                    let observation = if track.place & HIT != 0 {
                         Observation::Seen
                     } else {
                         self.view.observe(&sight, || track.would_return(sight.range))
                     };
-                    returns.record(track.record(observation, &look, &rule), &rule);
+                    returns.record(track.record(observation, &look, scans, &rule), &rule);
                     evidence.cells.blocks[number / LANES].set(number % LANES, track);
                 }
-                evidence.looked_scan = self.scan;
                 evidence.retain(|returns| returns.occupancy > 0);
             }
-            self.record_free();
+            if self.turns.are_of(TileIndex { x: 0, y: 0 }) {
+                self.record_free();
+            }
             self.free_body();
         }
     }
