@@ -10,13 +10,13 @@ use super::{
     sweep::Sweep,
     track::{Block, Event, LANES, Look},
     view::{HIT, Observation, Sight},
-    visagge::{Glance, Visagge},
+    visagge::{Glance, Vantage, Visagge},
 };
 
 /// Compares cells with a scan and records what it says of them.
 pub(super) trait Path {
-    /// How the sensor sees the cells of a block.
-    fn sights(glance: &Glance, block: &Block, sights: &mut Sights);
+    /// How the sensor sees the cells of a block, and how far the nearest of them is, or some other place in the tile.
+    fn sights(vantage: &Vantage, block: &Block, sights: &mut Sights) -> u16;
     /// Records what the scan says of the first `count` cells of a block, and tells of what is the business of the cell in a lane.
     fn record(
         glance: &Glance,
@@ -70,18 +70,19 @@ pub(super) struct Portable;
 
 impl Path for Portable {
     #[inline(always)]
-    fn sights(glance: &Glance, block: &Block, sights: &mut Sights) {
+    fn sights(vantage: &Vantage, block: &Block, sights: &mut Sights) -> u16 {
         for lane in 0..LANES {
             let at = |axis: usize| {
                 let along = block.place[lane] >> (6 * axis) & 63;
-                glance.corner[axis] + f32::from(along) * glance.resolution
+                vantage.corner[axis] + f32::from(along) * vantage.resolution
             };
-            let Sight { range, beam, angle, is_in_view } = glance.view.sight(at(0), at(1));
+            let Sight { range, beam, angle, is_in_view } = vantage.lens.sight(at(0), at(1));
             sights.range[lane] = range;
             sights.beam[lane] = beam;
             sights.angle[lane] = angle.0;
             sights.is_in_view[lane] = if is_in_view { u16::MAX } else { 0 };
         }
+        sights.range.into_iter().fold(u16::MAX, u16::min)
     }
 
     #[inline(always)]
@@ -139,8 +140,8 @@ mod avx2 {
     use crate::grid::{
         angle::{ATAN, ROUNDER},
         track::{Block, Event, LANES, Run, Sectors, TENTH, UNITS_PER_M},
-        view::{HIT, INVERSE, LEAST_DISTANCE, Lens, SEEN_AGAIN},
-        visagge::Glance,
+        view::{HIT, INVERSE, LEAST_DISTANCE, SEEN_AGAIN},
+        visagge::{Glance, Vantage},
     };
     use std::{arch::x86_64::*, f32::consts};
 
@@ -149,9 +150,9 @@ mod avx2 {
 
     impl Path for Avx2 {
         #[inline(always)]
-        fn sights(glance: &Glance, block: &Block, sights: &mut Sights) {
+        fn sights(vantage: &Vantage, block: &Block, sights: &mut Sights) -> u16 {
             // SAFETY: `insert_with_avx2` alone comes here, and it was called because the features are there.
-            unsafe { take_sights(glance, block, sights) };
+            unsafe { take_sights(vantage, block, sights) }
         }
 
         #[inline(always)]
@@ -178,20 +179,22 @@ mod avx2 {
 
     #[target_feature(enable = "avx2,bmi2,lzcnt")]
     #[inline]
-    fn take_sights(glance: &Glance, block: &Block, sights: &mut Sights) {
-        let (lens, zero) = (&glance.view.lens, _mm256_setzero_si256());
+    fn take_sights(vantage: &Vantage, block: &Block, sights: &mut Sights) -> u16 {
+        let zero = _mm256_setzero_si256();
         let place = load(&block.place);
         let column = _mm256_and_si256(place, words(63));
         let row = _mm256_and_si256(_mm256_srli_epi16(place, 6), words(63));
         let low = |words| _mm256_unpacklo_epi16(words, zero);
         let high = |words| _mm256_unpackhi_epi16(words, zero);
         let (first, second) =
-            (sight(lens, glance, low(column), low(row)), sight(lens, glance, high(column), high(row)));
-        let range = _mm256_packs_epi32(first.range, second.range);
-        store(&mut sights.range, _mm256_max_epi16(range, words(1)));
+            (sight(vantage, low(column), low(row)), sight(vantage, high(column), high(row)));
+        let range = _mm256_max_epi16(_mm256_packs_epi32(first.range, second.range), words(1));
+        store(&mut sights.range, range);
         store(&mut sights.beam, _mm256_packus_epi32(first.beam, second.beam));
         store(&mut sights.angle, _mm256_packus_epi32(first.angle, second.angle));
         store(&mut sights.is_in_view, _mm256_packs_epi32(first.is_in_view, second.is_in_view));
+        let halves = _mm_min_epu16(_mm256_castsi256_si128(range), _mm256_extracti128_si256::<1>(range));
+        _mm_extract_epi16::<0>(_mm_minpos_epu16(halves)) as u16
     }
 
     /// Records what the scan says of a block, but for the lanes of which it returns two bits each: these
@@ -437,14 +440,15 @@ mod avx2 {
     /// `Lens::sight` of eight cells.
     #[target_feature(enable = "avx2")]
     #[inline]
-    fn sight(lens: &Lens, glance: &Glance, column: __m256i, row: __m256i) -> Seen {
+    fn sight(vantage: &Vantage, column: __m256i, row: __m256i) -> Seen {
+        let lens = &vantage.lens;
         let at = |corner: f32, along| {
             _mm256_add_ps(
                 _mm256_set1_ps(corner),
-                _mm256_mul_ps(_mm256_cvtepi32_ps(along), _mm256_set1_ps(glance.resolution)),
+                _mm256_mul_ps(_mm256_cvtepi32_ps(along), _mm256_set1_ps(vantage.resolution)),
             )
         };
-        let (dx, dy) = (at(glance.corner[0], column), at(glance.corner[1], row));
+        let (dx, dy) = (at(vantage.corner[0], column), at(vantage.corner[1], row));
         let sign = _mm256_set1_ps(-0.0);
         let (across, along) = (_mm256_andnot_ps(sign, dy), _mm256_andnot_ps(sign, dx));
         let steep = _mm256_cmp_ps::<_CMP_GT_OQ>(across, along);

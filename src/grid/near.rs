@@ -138,14 +138,14 @@ impl Near {
             let is_reached = nearest <= radius
                 || was_hit[self.numbers[tile] as usize]
                 || view.reaches(self.beam[tile], self.half[tile], nearest - tolerance.along as f32);
-            (self.numbers[reached], self.nearest[reached]) = (self.numbers[tile], nearest);
+            self.numbers[reached] = self.numbers[tile];
             reached += usize::from(is_reached);
         }
         self.numbers.truncate(reached);
     }
 
-    /// Their numbers, and how far the nearest cell of each may be (m).
-    pub fn tiles(&self) -> impl Iterator<Item = (usize, f32)> {
-        self.numbers.iter().map(|&number| number as usize).zip(self.nearest.iter().copied())
+    /// Their numbers.
+    pub fn tiles(&self) -> impl Iterator<Item = usize> {
+        self.numbers.iter().map(|&number| number as usize)
     }
 }

@@ -179,6 +179,8 @@ pub struct View {
     bands: [Band; BANDS],
     /// How many of the bands have their crossings: they are worked out when something stands near enough.
     known: usize,
+    /// The last level that `clear`, `empty` and `peak` have of this scan.
+    doubled: usize,
     pub(super) along: i16,
     farthest: f32,
 }
@@ -232,10 +234,8 @@ impl View {
         self.peak[0][inside.clone()].copy_from_slice(clear);
         self.reach[0][inside].copy_from_slice(empty);
         self.farthest = f32::from(empty.iter().copied().fold(0, i16::max)) / UNITS_PER_M;
-        double(&mut self.clear, i16::min);
-        double(&mut self.empty, i16::min);
-        double(&mut self.peak, i16::max);
-        double(&mut self.reach, i16::max);
+        self.doubled = 0;
+        (1..=LEVELS).for_each(|level| double(&mut self.reach, level, i16::max));
     }
 
     /// The bands.
@@ -268,11 +268,10 @@ impl View {
         }
     }
 
-    /// Has at hand what cells from this distance on (m) are compared with.
+    /// Has at hand what cells from this distance on ([`UNITS_PER_M`]) are compared with.
     #[inline(always)]
-    pub(super) fn prepare(&mut self, distance: f32) {
-        let units = (distance * UNITS_PER_M - 1.0).max(0.0) as i16;
-        let band = self.nearer.iter().take_while(|&&nearer| nearer > units).count();
+    pub(super) fn prepare(&mut self, distance: u16) {
+        let band = self.nearer.iter().take_while(|&&nearer| nearer > distance as i16).count();
         while self.known <= band {
             self.load_band(self.known, self.bands[self.known]);
             self.known += 1;
@@ -282,12 +281,19 @@ impl View {
     #[inline(always)]
     fn load_band(&mut self, number: usize, band: Band) {
         // The two tabulated windows that cover the beams within `half` of each one.
+        let count = self.count;
         let windows = |half: usize| {
             let beams = 2 * half + 1;
             let (level, first) = (beams.ilog2() as usize, PAD - half);
             let second = first + beams - (1 << level);
-            (level, first..first + self.count, second..second + self.count)
+            (level, first..first + count, second..second + count)
         };
+        for level in self.doubled + 1..=windows(band.wide).0 {
+            double(&mut self.clear, level, i16::min);
+            double(&mut self.empty, level, i16::min);
+            double(&mut self.peak, level, i16::max);
+            self.doubled = level;
+        }
         let (level, a, b) = windows(band.narrow);
         let (low_a, low_b) = (&self.clear[level][a.clone()], &self.clear[level][b.clone()]);
         let (high_a, high_b) = (&self.peak[level][a], &self.peak[level][b]);
@@ -417,17 +423,15 @@ fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// Fills each level from the one before: a window of twice as many beams.
+/// Fills a level from the one before: a window of twice as many beams.
 #[inline(always)]
-fn double(table: &mut [Vec<i16>], choose: impl Fn(i16, i16) -> i16) {
-    for level in 1..table.len() {
-        let (below, above) = table.split_at_mut(level);
-        let (below, width) = (&below[level - 1], 1 << (level - 1));
-        let shifted = below.get(width..).unwrap_or(&[]);
-        above[0].resize(shifted.len(), 0);
-        for ((chosen, &a), &b) in above[0].iter_mut().zip(below).zip(shifted) {
-            *chosen = choose(a, b);
-        }
+fn double(table: &mut [Vec<i16>], level: usize, choose: impl Fn(i16, i16) -> i16) {
+    let (below, above) = table.split_at_mut(level);
+    let (below, width) = (&below[level - 1], 1 << (level - 1));
+    let shifted = below.get(width..).unwrap_or(&[]);
+    above[0].resize(shifted.len(), 0);
+    for ((chosen, &a), &b) in above[0].iter_mut().zip(below).zip(shifted) {
+        *chosen = choose(a, b);
     }
 }
 
@@ -451,7 +455,7 @@ mod tests {
             30.0,
             &TOLERANCE,
         );
-        view.prepare(0.0);
+        view.prepare(0);
         view
     }
 

@@ -18,7 +18,7 @@ use super::{
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
     track::{LANES, Look, Track, distance_units},
     verdict::Judgement,
-    view::{Place, Tolerance, View},
+    view::{Lens, Place, Tolerance, View},
 };
 use serde::{Deserialize, Serialize};
 use std::f64::consts::SQRT_2;
@@ -222,12 +222,17 @@ fn place_of([column, row]: [u8; 2]) -> Place {
     Place::from(row) << 6 | Place::from(column)
 }
 
-/// A scan and a tile that it is compared with.
-pub(super) struct Glance<'a> {
-    pub view: &'a View,
+/// A tile as the sensor sees it.
+pub(super) struct Vantage {
+    pub lens: Lens,
     /// The middle of the tile's first cell, seen from the sensor (m).
     pub corner: [f32; 2],
     pub resolution: f32,
+}
+
+/// A scan that a tile is compared with.
+pub(super) struct Glance<'a> {
+    pub view: &'a View,
     pub rule: &'a Rule,
     /// Way that the sensor has driven (m).
     pub way: f32,
@@ -236,6 +241,9 @@ pub(super) struct Glance<'a> {
     /// Scans since then, with this one.
     pub scans: u16,
 }
+
+/// The cell of what did not return.
+const NOWHERE: CellIndex = CellIndex { x: i32::MAX, y: i32::MAX };
 
 /// Rounded down; without SSE4.1, `floor` is a call.
 fn floor(number: f32) -> i32 {
@@ -271,6 +279,8 @@ pub struct Visagge {
     /// A distance and a point for each beam.
     distances: Vec<f32>,
     points: [Vec<f32>; 2],
+    /// The cell in which each return landed, relative to that of the rays' base; [`NOWHERE`] without one.
+    landed: Vec<CellIndex>,
     outline: Outline,
     near: Near,
     turns: Turns,
@@ -303,6 +313,7 @@ impl Visagge {
             rays: Rays::default(),
             distances: Vec::new(),
             points: Default::default(),
+            landed: Vec::new(),
             outline: Outline::default(),
             near: Near::default(),
             turns: Turns::default(),
@@ -383,21 +394,27 @@ impl Visagge {
     /// Core step 1: where a return lands, the cell is more likely to be occupied.
     #[inline(always)]
     fn record_hits(&mut self, sweep: &Sweep, rule: &Rule) {
-        let Visagge { tiles, was_hit, rays, distances, points, .. } = self;
+        let Visagge { tiles, was_hit, rays, distances, points, landed, .. } = self;
         let far = self.settings.range_max as f32;
         distances.clear();
         distances.extend(
             sweep.scan.ranges.iter().map(|&range| if range > 0.0 && range <= far { range } else { 0.0 }),
         );
         rays.points(distances, points);
+        landed.clear();
+        landed.extend(points[0].iter().zip(&points[1]).zip(&*distances).map(|((&x, &y), &range)| {
+            let index = CellIndex { x: floor(x), y: floor(y) };
+            if range > 0.0 { index } else { NOWHERE }
+        }));
         let base = rays.base();
         let mut recent = (TileIndex { x: i32::MAX, y: i32::MAX }, 0);
-        for (beam, ((&x, &y), &range)) in points[0].iter().zip(&points[1]).zip(&*distances).enumerate() {
-            if range == 0.0 {
+        let mut beam = 0;
+        for beams in landed.chunk_by(PartialEq::eq) {
+            let (index, first) = (beams[0], beam);
+            beam += beams.len();
+            if index == NOWHERE {
                 continue;
             }
-            let [left, below] = [x, y].map(floor);
-            let index = CellIndex { x: left, y: below };
             let (place, column, row) = index.split();
             if recent.0 != place {
                 recent = (place, tiles.find_or_make(TileIndex { x: base.x + place.x, y: base.y + place.y }));
@@ -410,14 +427,17 @@ impl Visagge {
             let number = match evidence.slots.get(at) {
                 Some(number) => number,
                 None => {
-                    let angle = Angle::from_bearing(rays.bearing(beam) + std::f32::consts::PI);
-                    let look = Look { angle, range: distance_units(range).max(1), way: self.way };
+                    let angle = Angle::from_bearing(rays.bearing(first) + std::f32::consts::PI);
+                    let look = Look { angle, range: distance_units(distances[first]).max(1), way: self.way };
                     let was_crossed = tile.free[row] >> column & 1 == 1;
                     evidence.add(Returns::new([column as u8, row as u8], was_crossed), Track::new(at, &look))
                 }
             };
+            let mean = |axis: usize, cell: i32| {
+                points[axis][first..beam].iter().sum::<f32>() / beams.len() as f32 - cell as f32
+            };
             let returns = evidence.cells.hit(number);
-            returns.record_hit([x - left as f32, y - below as f32], self.scan, self.time, rule);
+            returns.record_hit([mean(0, index.x), mean(1, index.y)], self.scan, self.time, rule);
         }
     }
 
@@ -428,20 +448,21 @@ impl Visagge {
         let side = (f64::from(SIDE - 1) * self.resolution) as f32;
         was_hit.resize(tiles.len(), false);
         near.find(tiles.places(), was_hit, *turns, view, tolerance, side);
-        for (number, nearest) in near.tiles() {
+        for number in near.tiles() {
             let place = tiles.place(number);
             let corner = view.corner(place, self.resolution);
+            let vantage = Vantage { lens: view.lens, corner, resolution: self.resolution as f32 };
             let Some(evidence) = &mut tiles.at_mut(number).evidence else { continue };
-            view.prepare(nearest);
             was_hit[number] = false;
             let (follows, scans) = evidence.look(self.scan, turns.number(place));
-            let resolution = self.resolution as f32;
-            let glance = Glance { view, corner, resolution, rule, way: self.way, follows, scans };
-            let mut removed = false;
             let Cells { returns, blocks } = &mut evidence.cells;
+            let mut nearest = i16::MAX as u16;
             for (block, sights) in blocks.iter().zip(&mut **sights) {
-                P::sights(&glance, block, sights);
+                nearest = nearest.min(P::sights(&vantage, block, sights));
             }
+            view.prepare(nearest);
+            let glance = Glance { view, rule, way: self.way, follows, scans };
+            let mut removed = false;
             for ((block, returns), sights) in blocks.iter_mut().zip(returns.chunks_mut(LANES)).zip(&**sights)
             {
                 P::record(&glance, block, sights, returns.len(), |lane, event| {
@@ -533,7 +554,7 @@ mod tests {
             self.begin(sweep);
             let rule = self.rule(sweep);
             self.record_hits(sweep, &rule);
-            self.view.prepare(0.0);
+            self.view.prepare(0);
             let side = (f64::from(SIDE - 1) * self.resolution) as f32;
             let slack = near::slack(&self.view, side);
             for number in 0..self.tiles.len() {
