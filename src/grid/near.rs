@@ -43,10 +43,11 @@ impl Turns {
         };
     }
 
-    /// Whether a tile is looked at in this scan; `square`: how far its middle is (m, squared), `slack`: see [`slack`].
+    /// Whether a tile is looked at in this scan; `middle`: where its middle is, seen from the sensor, `half`: half its side (m).
     #[inline(always)]
-    pub fn have_come(self, place: TileIndex, square: f32, slack: f32) -> bool {
-        self.are_of(place) | (square <= (CLOSE + slack) * (CLOSE + slack))
+    pub fn have_come(self, place: TileIndex, [x, y]: [f32; 2], half: f32) -> bool {
+        let [x, y] = [x.abs() - half, y.abs() - half].map(|beyond| if beyond > 0.0 { beyond } else { 0.0 });
+        self.are_of(place) | (x * x + y * y <= CLOSE * CLOSE)
     }
 
     /// Whether this scan is one of a tile's turns, wherever it is.
@@ -113,9 +114,8 @@ impl Near {
             let [x, y] = view.corner(place, tolerance.resolution).map(|at| at + side / 2.0);
             // Written in any case, counted if it shall stay: a branch here would be guessed wrong too often.
             (self.numbers[count], xs[count], ys[count]) = (number as u32, x, y);
-            let square = x * x + y * y;
-            count +=
-                usize::from(turns.have_come(place, square, slack) & (was_hit | (square <= beyond * beyond)));
+            let may_show = was_hit | (x * x + y * y <= beyond * beyond);
+            count += usize::from(turns.have_come(place, [x, y], side / 2.0) & may_show);
         }
         self.numbers.truncate(count);
         let per_rad = view.lens.beams_per_rad.abs();

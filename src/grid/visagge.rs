@@ -556,12 +556,11 @@ mod tests {
             self.record_hits(sweep, &rule);
             self.view.prepare(0);
             let side = (f64::from(SIDE - 1) * self.resolution) as f32;
-            let slack = near::slack(&self.view, side);
             for number in 0..self.tiles.len() {
                 let place = self.tiles.place(number);
                 let corner = self.view.corner(place, self.resolution);
                 let [x, y] = corner.map(|at| at + side / 2.0);
-                if !self.turns.have_come(place, x * x + y * y, slack) {
+                if !self.turns.have_come(place, [x, y], side / 2.0) {
                     continue;
                 }
                 let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
