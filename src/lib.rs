@@ -26,6 +26,7 @@
 
 pub mod cdr;
 pub mod cli;
+pub mod closing;
 pub mod config;
 pub mod exit;
 pub mod grid;

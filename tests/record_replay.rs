@@ -260,11 +260,7 @@ fn replayed(files: &[PathBuf], pose: Option<PoseSource>) -> (Map, Vec<Outcome>, 
     };
     let mut outcomes = Vec::new();
     // A replay tells the time since 1970, the run its monotonic clock.
-    let mut on_outcome = |mut outcome| {
-        let (Outcome::Inserted { stamp_ns, .. } | Outcome::Skipped { stamp_ns, .. }) = &mut outcome;
-        *stamp_ns -= WALL - START;
-        outcomes.push(outcome);
-    };
+    let mut on_outcome = |outcome: Outcome| outcomes.push(outcome.shifted(START - WALL));
     let mut replay = replay::run(&options, &mut on_outcome, &mut |_| {}).unwrap();
     (replay.mapper.map(), outcomes, replay)
 }

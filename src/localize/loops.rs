@@ -1,7 +1,7 @@
 //! Closes the loops of a drive that has been located: finds where it came back to a place, and bends it so that both visits
 //! fall together.
 //!
-//! For a drive as a whole, afterwards. It is cut into segments of some metres, each with a matching map and with its points
+//! For a drive as a whole, or as far as it has come. It is cut into segments of some metres, each with a matching map and with its points
 //! put together, which tell a place far better than one scan does. What one segment shows is sought in the maps of those that
 //! may be near; what several of them say of each other in agreement is believed ([pairwise consistency][pcm]), and a
 //! [pose graph](super::graph) spreads what was out over the way between. Where nothing is out by more than the walls
@@ -83,12 +83,36 @@ struct Segment {
     taken: HashSet<(i32, i32)>,
 }
 
+/// Counts the way of a drive, and tells which of its scans are enough to know it by.
+#[derive(Debug, Default)]
+pub struct Odometer {
+    /// The last of these scans, and the way until there (m).
+    last: Option<(Pose, f64)>,
+}
+
+impl Odometer {
+    /// The way driven until the scanner was here (m), and whether this is one of these scans.
+    pub fn advance(&mut self, pose: &Pose) -> (f64, bool) {
+        let (way, is_key) = match &self.last {
+            None => (0.0, true),
+            Some((last, way)) => {
+                let off = difference(pose, last);
+                let moved = off.xy().norm();
+                (way + moved, moved >= KEY[0] || off.z.abs() >= KEY[1])
+            }
+        };
+        if is_key {
+            self.last = Some((*pose, way));
+        }
+        (way, is_key)
+    }
+}
+
 /// A drive, as it was located.
 #[derive(Debug, Default)]
 pub struct Drive {
     segments: Vec<Segment>,
-    /// The last scan that was put in, and the way until there (m).
-    last: Option<(Pose, f64)>,
+    odometer: Odometer,
 }
 
 /// Two segments that show the same.
@@ -150,18 +174,15 @@ impl fmt::Display for Loops {
 impl Drive {
     /// Takes in a scan that was located: the scanner in its middle, and its points. Returns the way driven until there (m).
     pub fn add(&mut self, pose: &Pose, points: impl FnOnce() -> Points) -> f64 {
-        let (way, is_key) = match &self.last {
-            None => (0.0, true),
-            Some((last, way)) => {
-                let off = difference(pose, last);
-                let moved = off.xy().norm();
-                (way + moved, moved >= KEY[0] || off.z.abs() >= KEY[1])
-            }
-        };
-        if !is_key {
-            return way;
+        let (way, is_key) = self.odometer.advance(pose);
+        if is_key {
+            self.add_key(way, pose, &points());
         }
-        self.last = Some((*pose, way));
+        way
+    }
+
+    /// Takes in a scan that an [`Odometer`] of its own has told to be enough, after so much way (m).
+    pub fn add_key(&mut self, way: f64, pose: &Pose, points: &Points) {
         if self.segments.last().is_none_or(|last| way >= last.way + STEP) {
             self.segments.push(Segment {
                 pose: *pose,
@@ -171,18 +192,26 @@ impl Drive {
                 taken: HashSet::new(),
             });
         }
-        let points = points();
         for segment in self.segments.iter_mut().rev().take_while(|segment| way < segment.way + LENGTH) {
-            segment.add(pose, &points);
+            segment.add(pose, points);
         }
-        way
     }
 
-    /// Seeks loops, and how to close them.
-    pub fn close(&self) -> Loops {
+    /// Memory that it holds (bytes).
+    pub fn bytes(&self) -> usize {
+        self.segments.iter().map(Segment::bytes).sum()
+    }
+
+    /// Seeks loops, and how to close them where the drive has been bent like `bent` already.
+    pub fn close(&self, bent: Option<&Correction>) -> Loops {
         let before: Vec<Pose> = self.segments.iter().map(|segment| segment.pose).collect();
+        let now: Vec<Pose> = self
+            .segments
+            .iter()
+            .map(|segment| bent.map_or(segment.pose, |bent| bent.correct(segment.way, &segment.pose)))
+            .collect();
         let way: Vec<Edge> = (1..before.len()).map(|to| self.way_edge(to)).collect();
-        let mut nodes = before.clone();
+        let mut nodes = now.clone();
         let mut agreed: Vec<Closure> = Vec::new();
         for round in 0..ROUNDS {
             let found = self.seek(&nodes, round == 0);
@@ -196,7 +225,7 @@ impl Drive {
         if agreed.is_empty() {
             return Loops::None;
         }
-        let (out, left) = (worst(&agreed, &before), worst(&agreed, &nodes));
+        let (out, left) = (worst(&agreed, &now), worst(&agreed, &nodes));
         let closures = agreed.len();
         if out[0] <= GOOD[0] && out[1] <= GOOD[1] {
             return Loops::Good { closures, out };
@@ -346,6 +375,11 @@ impl Drive {
 }
 
 impl Segment {
+    fn bytes(&self) -> usize {
+        let points = self.points.capacity() * size_of::<ScanPoint>();
+        self.map.bytes() + points + self.taken.capacity() * size_of::<(i32, i32)>()
+    }
+
     fn add(&mut self, pose: &Pose, points: &Points) {
         self.map.insert(points, pose);
         let by = self.pose.inverse() * pose;
@@ -437,6 +471,11 @@ fn worst(closures: &[Closure], nodes: &[Pose]) -> [f64; 2] {
 }
 
 impl Correction {
+    /// What is to be put before a pose at the end of the drive.
+    pub fn last(&self) -> Pose {
+        self.steps.last().map_or_else(Pose::identity, |(_, last)| *last)
+    }
+
     /// Where a pose belongs that was located after so much way (m).
     pub fn correct(&self, way: f64, pose: &Pose) -> Pose {
         let after = self.steps.partition_point(|(at, _)| *at <= way);

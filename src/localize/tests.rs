@@ -266,7 +266,7 @@ fn driven_round(drift: Pose) -> (loops::Loops, [f64; 2]) {
         });
         located.push((way, at, truth));
     }
-    let found = drive.close();
+    let found = drive.close(None);
     let worst = |correct: &dyn Fn(f64, &Pose) -> Pose| {
         located
             .iter()
@@ -309,6 +309,6 @@ fn what_looks_alike_but_is_not_the_same_closes_nothing() {
             points
         });
     }
-    let found = drive.close();
+    let found = drive.close(None);
     assert!(!matches!(found, loops::Loops::Bent(_)), "{found}");
 }

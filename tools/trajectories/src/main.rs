@@ -44,7 +44,8 @@ struct Arguments {
     /// Print all that matters as a table instead, the worst of all seeds and starts.
     #[arg(long, conflicts_with_all = ["modes", "skip", "lost_scans", "random_returns", "half_odometry", "slip", "optimize", "tum"])]
     table: bool,
-    /// Close the loops afterwards, as `visagged replay --optimize` does, and print a second line for each.
+    /// Print two more lines for each, with its loops closed afterwards, as `visagged replay --optimize` does, and on the way, as
+    /// `visagged` does.
     #[arg(long)]
     optimize: bool,
     /// Instead of all that: put a robot down at so many random places of each world's map, to find out where it is.
@@ -101,12 +102,24 @@ fn main() -> Result<()> {
             for method in &arguments.modes {
                 let label = format!("{} {seed}", world.name);
                 let mode = method.name();
-                let run = Run::of(&drive, *method);
+                let run = Run::of(&drive, *method, false);
                 run.print(&label, &mode);
                 if arguments.optimize {
                     let (closed, words) = run.closed(&drive);
                     closed.print(&label, "closed");
                     println!("    {words}");
+                    let on_the_way = Run::of(&drive, *method, true);
+                    on_the_way.print(&label, "closed on the way");
+                    if let Some(loops) = on_the_way.report.and_then(|report| report.loops) {
+                        let closed =
+                            loops.last.map_or_else(|| "nothing was closed".into(), |last| last.to_string());
+                        println!(
+                            "    {closed}; {} searches, {} scans and {:.0} MB kept",
+                            loops.searches,
+                            loops.scans_kept,
+                            loops.bytes as f64 / 1e6
+                        );
+                    }
                 }
                 if let Some(folder) = &arguments.tum {
                     run.write(&drive, folder, &format!("{}-{mode}", label.replace(' ', "-")))?;

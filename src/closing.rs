@@ -1,0 +1,337 @@
+//! Closes loops while the drive goes on: keeps the scans that were placed, has it sought where the drive came back to, and
+//! has the map made anew where all then belongs.
+//!
+//! Not a thread and not a clock. What takes long is given away as a [`Task`], to be run wherever there is time, and comes back
+//! as [`Done`]; meanwhile the drive goes on. When a task begins is decided by the way alone. So the same scans and the same
+//! tasks taken back before the same scans make the same map, bit by bit.
+//!
+//! The drive is kept as it was located: each search bends it as a whole, from what was seen, and not from what an earlier search
+//! made of it.
+
+pub mod moved;
+pub mod placed;
+
+use crate::{
+    grid::Grid,
+    localize::{
+        loops::{Correction, Drive, Loops, Odometer},
+        matcher::difference,
+    },
+    mapper::MapperSettings,
+    pose::{Pose, interpolate},
+    scan::Scan,
+};
+use moved::Moved;
+use placed::Placed;
+use serde::Serialize;
+use std::fmt;
+
+/// A drive is searched for loops when it is this long (m): none is shorter.
+const FIRST_SEARCH: f64 = 20.0;
+/// ... and again after so much way (m), and this part of the way so far: a search of 200 m takes 3 s, and longer ones more.
+const NEXT_SEARCH: [f64; 2] = [10.0, 0.1];
+/// The first and the last scans of a stand that are kept, a second each: nothing is seen from there that these do not show, and
+/// what stood there when the robot came may be gone when it leaves.
+const STAND: usize = 40;
+/// Who has moved by less stands (m, rad): a robot at 10 cm/s keeps all of its scans.
+const STILL: [f64; 2] = [0.03, 0.02];
+/// No more is kept (bytes): 100,000 scans, 40 minutes of driving or 2 km. A robot has this much memory to spare, and
+/// what a search takes grows faster than the way.
+const MOST: usize = 256 << 20;
+
+/// See the module.
+#[derive(Debug)]
+pub struct Closing {
+    state: State,
+    /// Scans that no task has been given yet.
+    fresh: Vec<Placed>,
+    odometer: Odometer,
+    stand: Stand,
+    /// Way driven so far, and when the last search began (m).
+    way: f64,
+    sought: f64,
+    /// What is to be put before a pose, as it was located, to show it now.
+    shift: Pose,
+    /// Memory of the scans, and of what the searches made of them (bytes).
+    scan_bytes: usize,
+    drive_bytes: usize,
+    scans: u64,
+    searches: u64,
+    closed: u64,
+    last: Option<LastClosing>,
+}
+
+/// Where the history is, and what is to be done with it.
+#[derive(Debug)]
+enum State {
+    /// Nothing is to be done.
+    Idle(Box<History>),
+    /// The map is to be made anew.
+    Bent(Box<History>, Correction),
+    /// It is away with a task.
+    Busy,
+    /// The drive has become too long, and none is kept any more.
+    Full,
+}
+
+/// The drive as it was located.
+#[derive(Debug)]
+struct History {
+    settings: MapperSettings,
+    scans: Vec<Placed>,
+    /// Scans of these that `drive` has taken in.
+    taken: usize,
+    drive: Drive,
+    /// How the map that is shown was bent.
+    bent: Option<Correction>,
+}
+
+/// Where a robot stands, or seems to.
+#[derive(Debug, Default)]
+struct Stand {
+    at: Pose,
+    scans: usize,
+}
+
+/// Something that takes long.
+#[derive(Debug)]
+pub struct Task {
+    history: Box<History>,
+    fresh: Vec<Placed>,
+    /// How the map is to be bent, where it is to be made anew; else loops are sought.
+    bent: Option<Correction>,
+}
+
+/// A task that was done.
+#[derive(Debug)]
+pub struct Done {
+    history: Box<History>,
+    found: Found,
+}
+
+#[derive(Debug)]
+enum Found {
+    Loops(Loops),
+    Map { grid: Box<Grid>, bent: Correction, moved: Moved },
+}
+
+/// What was closed last.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LastClosing {
+    /// Stretches of the drive that agree about it.
+    pub closures: usize,
+    /// How far the drive was out at most (m).
+    pub metres: f64,
+    /// ... and its heading (degrees).
+    pub degrees: f64,
+}
+
+impl fmt::Display for LastClosing {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let LastClosing { closures, metres, degrees } = self;
+        write!(
+            f,
+            "the drive came back {closures} times and was out by {metres:.2} m, {degrees:.1} degrees at most: the map was \
+             made anew"
+        )
+    }
+}
+
+/// How the loops stand.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ClosingReport {
+    /// Whether loops are closed still: a drive that is too long to be kept is mapped on without.
+    pub is_on: bool,
+    /// Searches for loops that have ended.
+    pub searches: u64,
+    /// Times that the map was made anew with a loop closed.
+    pub closed: u64,
+    /// The last of these times.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub last: Option<LastClosing>,
+    /// Scans that are kept.
+    pub scans_kept: u64,
+    /// Memory that all of it holds (bytes).
+    pub bytes: usize,
+}
+
+impl ClosingReport {
+    /// How they stand, to be put behind a line that says what is mapped; nothing where there is nothing to say.
+    pub fn in_words(&self) -> String {
+        match (self.is_on, self.closed) {
+            (false, _) => ", the drive is too long for its loops to be closed".into(),
+            (true, 0) => String::new(),
+            (true, times) => format!(", loops closed {times} times"),
+        }
+    }
+}
+
+impl Closing {
+    /// At the beginning of a drive.
+    pub fn new(settings: &MapperSettings) -> Closing {
+        let history = History {
+            settings: settings.clone(),
+            scans: Vec::new(),
+            taken: 0,
+            drive: Drive::default(),
+            bent: None,
+        };
+        Closing {
+            state: State::Idle(Box::new(history)),
+            fresh: Vec::new(),
+            odometer: Odometer::default(),
+            stand: Stand::default(),
+            way: 0.0,
+            sought: 0.0,
+            shift: Pose::identity(),
+            scan_bytes: 0,
+            drive_bytes: 0,
+            scans: 0,
+            searches: 0,
+            closed: 0,
+            last: None,
+        }
+    }
+
+    /// How the loops stand.
+    pub fn report(&self) -> ClosingReport {
+        ClosingReport {
+            is_on: !matches!(self.state, State::Full),
+            searches: self.searches,
+            closed: self.closed,
+            last: self.last,
+            scans_kept: self.scans,
+            bytes: self.scan_bytes + self.drive_bytes,
+        }
+    }
+
+    /// Keeps a scan that was placed: the scanner in the map at its first and last beam.
+    pub fn keep(&mut self, scan: &Scan, shown: [Pose; 2]) {
+        if matches!(self.state, State::Full) {
+            return;
+        }
+        let to_located = self.shift.inverse();
+        let [start, end] = shown.map(|pose| to_located * pose);
+        let middle = interpolate(&start, &end, 0.5);
+        let (way, is_key) = self.odometer.advance(&middle);
+        self.way = way;
+        let placed = Placed::new(scan, [start, end], way, is_key);
+        self.scan_bytes += placed.bytes();
+        self.scans += 1;
+        self.fresh.push(placed);
+        if self.stand.is_long(&middle)
+            && let Some(surplus) = self.fresh.len().checked_sub(STAND + 1)
+        {
+            self.scan_bytes -= self.fresh.remove(surplus).bytes();
+            self.scans -= 1;
+        }
+    }
+
+    /// What is to be done next, where it is time to.
+    pub fn next_task(&mut self) -> Option<Task> {
+        let is_due = self.way >= FIRST_SEARCH
+            && self.way - self.sought >= NEXT_SEARCH[0].max(NEXT_SEARCH[1] * self.sought);
+        self.task(is_due)
+    }
+
+    /// What is to be done at the end of the drive.
+    pub fn last_task(&mut self) -> Option<Task> {
+        self.task(self.way >= FIRST_SEARCH && self.way > self.sought)
+    }
+
+    fn task(&mut self, is_search_due: bool) -> Option<Task> {
+        match std::mem::replace(&mut self.state, State::Busy) {
+            State::Idle(_) if self.scan_bytes + self.drive_bytes > MOST => {
+                self.fresh = Vec::new();
+                (self.scans, self.scan_bytes, self.drive_bytes) = (0, 0, 0);
+                self.state = State::Full;
+                None
+            }
+            State::Idle(history) if is_search_due => {
+                self.sought = self.way;
+                Some(Task { history, fresh: std::mem::take(&mut self.fresh), bent: None })
+            }
+            State::Bent(history, bent) => {
+                Some(Task { history, fresh: std::mem::take(&mut self.fresh), bent: Some(bent) })
+            }
+            other => {
+                self.state = other;
+                None
+            }
+        }
+    }
+
+    /// Takes a task back that was done. Where it has made a map, that is in `grid` from now on, with all that came meanwhile.
+    pub fn take_back(&mut self, done: Done, grid: &mut Grid) -> Option<Moved> {
+        let Done { mut history, found } = done;
+        self.drive_bytes = history.drive.bytes();
+        match found {
+            Found::Loops(loops) => {
+                self.searches += 1;
+                self.state = match loops {
+                    Loops::Bent(bent) => State::Bent(history, bent),
+                    Loops::None | Loops::Good { .. } => State::Idle(history),
+                };
+                None
+            }
+            Found::Map { grid: made, bent, moved } => {
+                *grid = *made;
+                self.fresh.iter().for_each(|placed| placed.insert(grid, &bent));
+                self.closed += 1;
+                let Correction { closures, out: [metres, turn], .. } = bent;
+                self.last = Some(LastClosing { closures, metres, degrees: turn.to_degrees() });
+                self.shift = bent.last();
+                history.bent = Some(bent);
+                self.state = State::Idle(history);
+                Some(moved)
+            }
+        }
+    }
+}
+
+impl Stand {
+    /// Whether more scans were taken here than are kept.
+    fn is_long(&mut self, at: &Pose) -> bool {
+        let off = difference(at, &self.at);
+        if off.xy().norm() > STILL[0] || off.z.abs() > STILL[1] {
+            *self = Stand { at: *at, scans: 0 };
+        }
+        self.scans = self.scans.saturating_add(1);
+        self.scans > 2 * STAND
+    }
+}
+
+impl Task {
+    /// Does it.
+    pub fn run(self) -> Done {
+        let Task { mut history, mut fresh, bent } = self;
+        history.scans.append(&mut fresh);
+        let found = match bent {
+            None => Found::Loops(history.seek()),
+            Some(bent) => history.map(bent),
+        };
+        Done { history, found }
+    }
+}
+
+impl History {
+    fn seek(&mut self) -> Loops {
+        for placed in self.scans[self.taken..].iter().filter(|placed| placed.is_key()) {
+            self.drive.add_key(placed.way(), &placed.middle(), &placed.points(&self.settings.localize));
+        }
+        self.taken = self.scans.len();
+        self.drive.close(self.bent.as_ref())
+    }
+
+    /// The map of all scans in a drive that is bent like this.
+    fn map(&self, bent: Correction) -> Found {
+        let mut grid = Box::new(Grid::new(&self.settings));
+        let steps = self.scans.iter().map(|placed| {
+            placed.insert(&mut grid, &bent);
+            let by = placed.start(Some(&bent)) * placed.start(self.bent.as_ref()).inverse();
+            (placed.stamp_ns(), by)
+        });
+        let moved = Moved::new(steps.collect());
+        Found::Map { grid, bent, moved }
+    }
+}
