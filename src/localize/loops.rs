@@ -184,6 +184,10 @@ impl Drive {
     /// Takes in a scan that an [`Odometer`] of its own has told to be enough, after so much way (m).
     pub fn add_key(&mut self, way: f64, pose: &Pose, points: &Points) {
         if self.segments.last().is_none_or(|last| way >= last.way + STEP) {
+            for complete in self.segments.iter_mut().filter(|segment| way >= segment.way + LENGTH) {
+                complete.taken = HashSet::new();
+                complete.points.shrink_to_fit();
+            }
             self.segments.push(Segment {
                 pose: *pose,
                 way,
