@@ -335,3 +335,188 @@ impl History {
         Found::Map { grid, bent, moved }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        localize::tests::{ring, scan},
+        mapper::{Mapper, Outcome, PoseUse},
+        pose::{StampedPose, pose},
+    };
+    use std::f64::consts::FRAC_PI_2;
+
+    /// Scans of a lap round the ring: ten a metre, and twenty while it turns.
+    const LAP: u64 = 520;
+
+    /// Where the robot truly is.
+    fn truth(seq: u64) -> Pose {
+        let (mut at, mut seq) = (pose(1.5, 1.2, 0.0), seq % LAP);
+        for side in [130, 90, 130, 90] {
+            at *= pose(seq.min(side) as f64 * 0.1, 0.0, 0.0);
+            seq = seq.saturating_sub(side);
+            at *= pose(0.0, 0.0, seq.min(20) as f64 / 20.0 * FRAC_PI_2);
+            seq = seq.saturating_sub(20);
+        }
+        at
+    }
+
+    /// Odometry is true, but the scanner bends walls, and what lies some metres back is matched no more.
+    fn settings(close_loops: bool) -> MapperSettings {
+        let mut settings = MapperSettings { poses: PoseUse::Odometry, close_loops, ..Default::default() };
+        settings.localize.submap_way = 5.0;
+        settings
+    }
+
+    /// In whole millimetres, of a scanner that sees what is to its left too far and what is to its right too near.
+    fn bent_scan(walls: &[[[f64; 2]; 2]], seq: u64) -> Scan {
+        let mut scan = scan(walls, &|_| truth(seq), seq);
+        for (beam, range) in scan.ranges.iter_mut().enumerate() {
+            let bearing = scan.geometry.angle_min + beam as f64 * scan.geometry.angle_increment;
+            let bent = f64::from(*range) * (1.0 + 0.04 * bearing.sin());
+            *range = (bent * 1000.0).round() as f32 / 1000.0;
+        }
+        scan
+    }
+
+    /// A drive round the ring.
+    struct Driven {
+        mapper: Mapper,
+        /// Where each scan is shown, at last.
+        shown: Vec<Pose>,
+        /// Scans that were shown before each closing.
+        closed_after: Vec<usize>,
+    }
+
+    impl Driven {
+        /// With the tasks brought back so many scans after they were given away.
+        fn new(settings: MapperSettings, scans: u64, delay: u64) -> Driven {
+            let (mapper, walls) = (Mapper::new(settings), ring());
+            let mut driven = Driven { mapper, shown: Vec::new(), closed_after: Vec::new() };
+            let mut away: Option<(Task, u64)> = None;
+            for seq in 0..scans {
+                if let Some((task, _)) = away.take_if(|(_, due)| *due <= seq) {
+                    driven.mapper.take_back(task.run());
+                }
+                driven.take(&walls, seq);
+                away = away.or_else(|| Some((driven.mapper.next_task()?, seq + delay)));
+            }
+            let mut last = away.map(|(task, _)| task).or_else(|| driven.mapper.last_task());
+            while let Some(task) = last {
+                driven.mapper.take_back(task.run());
+                last = driven.mapper.next_task().or_else(|| driven.mapper.last_task());
+            }
+            driven.take_outcomes();
+            driven
+        }
+
+        fn take(&mut self, walls: &[[[f64; 2]; 2]], seq: u64) {
+            let (at, scan) = (truth(seq), bent_scan(walls, seq));
+            for stamp_ns in [scan.stamp_ns, scan.end_ns()] {
+                let received_ns = stamp_ns;
+                self.mapper.on_pose(StampedPose {
+                    stamp_ns,
+                    received_ns,
+                    pose: at,
+                    covariance: None,
+                    reset: 0,
+                });
+            }
+            self.mapper.on_scan(scan);
+            self.take_outcomes();
+        }
+
+        fn take_outcomes(&mut self) {
+            while let Some(outcome) = self.mapper.next_outcome() {
+                match outcome {
+                    Outcome::Inserted { seq, start, .. } => {
+                        assert_eq!(seq, self.shown.len() as u64);
+                        self.shown.push(start);
+                    }
+                    Outcome::Moved(moved) => {
+                        self.closed_after.push(self.shown.len());
+                        for (seq, shown) in self.shown.iter_mut().enumerate() {
+                            *shown = moved.at(seq as i64 * 25_000_000) * *shown;
+                        }
+                    }
+                    Outcome::Skipped { reason, .. } => panic!("{reason:?}"),
+                }
+            }
+        }
+
+        /// How far the second lap lies beside the first at most (m).
+        fn apart(&self) -> f64 {
+            let laps = self.shown.iter().zip(&self.shown[LAP as usize..]);
+            laps.map(|(first, second)| difference(first, second).xy().norm()).fold(0.0, f64::max)
+        }
+    }
+
+    #[test]
+    fn a_second_lap_falls_onto_the_first() {
+        let open = Driven::new(settings(false), 800, 0);
+        let apart = open.apart();
+        assert!(apart > 0.3, "{apart} m");
+        for delay in [0, 37] {
+            let mut closed = Driven::new(settings(true), 800, delay);
+            assert!(closed.apart() < 0.05, "{} m", closed.apart());
+            let report = closed.mapper.report().loops.unwrap();
+            assert_eq!((report.closed, report.scans_kept), (closed.closed_after.len() as u64, 800));
+            assert!(closed.closed_after[0] < 700, "not before the end: {:?}", closed.closed_after);
+            // The map is that of a mapper that is told where each scan was taken.
+            let mut told = Mapper::new(MapperSettings::default());
+            let walls = ring();
+            for (seq, at) in closed.shown.iter().enumerate() {
+                told.on_located(bent_scan(&walls, seq as u64), Ok((*at, *at)));
+            }
+            let (map, wanted) = (closed.mapper.map(), told.map());
+            assert_eq!((map.width, map.height, map.origin), (wanted.width, wanted.height, wanted.origin));
+            let unlike = map.occupancy.iter().zip(&wanted.occupancy).filter(|(a, b)| a != b).count();
+            assert!(unlike * 1000 < map.occupancy.len(), "{unlike} of {} cells", map.occupancy.len());
+        }
+    }
+
+    #[test]
+    fn who_stands_keeps_no_more() {
+        let mut closing = Closing::new(&settings(true));
+        let walls = ring();
+        let scan = bent_scan(&walls, 0);
+        let mut numbers = 0..;
+        let mut stand = |x: f64, scans: usize| {
+            for seq in numbers.by_ref().take(scans) {
+                let at = pose(x + 0.01 * (seq as f64).sin(), 0.0, 0.0);
+                closing.keep(&Scan { seq, ..scan.clone() }, [at, at]);
+            }
+            closing.report()
+        };
+        let kept = [stand(0.0, 30), stand(0.0, 1_000), stand(0.0, 10_000), stand(1.0, 1_000)];
+        let most = 2 * STAND as u64;
+        assert_eq!(kept.each_ref().map(|report| report.scans_kept), [30, most, most, 2 * most]);
+        assert_eq!(kept[1].bytes, kept[2].bytes);
+        let numbers: Vec<u64> = closing.fresh.iter().map(Placed::seq).collect();
+        assert_eq!(numbers[STAND - 1..=STAND], [39, 11_030 - 40], "the first and the last");
+    }
+
+    #[test]
+    fn a_drive_that_is_too_long_is_mapped_on_without() {
+        let mut driven = Driven::new(settings(true), 300, 0);
+        let closing = driven.mapper.closing().unwrap();
+        closing.scan_bytes = MOST;
+        assert!(driven.mapper.last_task().is_none());
+        driven.take(&ring(), 300);
+        assert_eq!(driven.shown.len(), 301);
+        let report = driven.mapper.report().loops.unwrap();
+        assert_eq!((report.is_on, report.scans_kept, report.bytes), (false, 0, 0));
+    }
+
+    #[test]
+    fn loops_are_closed_where_scans_are_matched_in_an_empty_map() {
+        use crate::mapper::MapperKind;
+        let closes = |settings: MapperSettings| Mapper::new(settings).closes_loops();
+        assert!(closes(settings(true)));
+        assert!(!closes(settings(false)));
+        assert!(!closes(MapperSettings { poses: PoseUse::Map, ..settings(true) }));
+        assert!(!closes(MapperSettings { mapper: MapperKind::Glints, ..settings(true) }));
+        let saved = Driven::new(settings(true), 10, 0).mapper.save().unwrap();
+        assert!(!Mapper::going_on(&saved, settings(true)).unwrap().closes_loops());
+    }
+}

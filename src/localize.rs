@@ -682,4 +682,4 @@ fn contradicted(map: &Submap, points: &Points, at: &Pose) -> f64 {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

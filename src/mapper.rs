@@ -459,6 +459,11 @@ impl Mapper {
         self.take_waiting(pose.received_ns);
     }
 
+    #[cfg(test)]
+    pub(crate) fn closing(&mut self) -> Option<&mut Closing> {
+        self.closing.as_mut()
+    }
+
     /// Whether it closes loops.
     pub fn closes_loops(&self) -> bool {
         self.closing.is_some()

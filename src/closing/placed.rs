@@ -48,6 +48,12 @@ impl Placed {
         size_of_val(self) + size_of_val(&*self.ranges_mm)
     }
 
+    /// Its number.
+    #[cfg(test)]
+    pub fn seq(&self) -> u64 {
+        self.seq
+    }
+
     /// Time of its first beam (ns).
     pub fn stamp_ns(&self) -> i64 {
         self.stamp_ns

@@ -556,11 +556,30 @@ impl Walk {
     }
 }
 
+/// Farthest column or row: a match that goes astray looks there, and at the neighbours.
+const FARTHEST: f64 = 1e9;
+
 /// Column or row of the cell that holds a coordinate.
 pub fn index(at: f64) -> i32 {
-    (at / CELL).floor() as i32
+    (at / CELL).floor().clamp(-FARTHEST, FARTHEST) as i32
 }
 
 fn in_tile(x: i32, y: i32) -> usize {
     ((y & 31) * SIDE + (x & 31)) as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_is_known_far_beyond_the_map() {
+        let map = Submap::default();
+        for far in [f64::MAX, f64::MIN, f64::INFINITY, f64::NAN] {
+            let (far, near) = (Point2::new(far, -far), Point2::origin());
+            assert!(matches!(map.look(far, None), Place::Unknown));
+            assert_eq!(map.existence(far), 0.0);
+            assert!(!map.contradicts(far, near));
+        }
+    }
 }

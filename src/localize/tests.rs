@@ -4,7 +4,7 @@ use super::*;
 use crate::{pose::pose, scan::Geometry};
 use nalgebra::Vector2;
 
-type Wall = [[f64; 2]; 2];
+pub(crate) type Wall = [[f64; 2]; 2];
 
 /// A room without symmetry: an L with a niche and a pillar.
 const ROOM: [Wall; 12] = [
@@ -41,7 +41,7 @@ fn range(walls: &[Wall], from: Vector2<f64>, direction: Vector2<f64>) -> f32 {
 }
 
 /// Scan number `seq` of a scanner that moves as `way` says (s to pose); each beam from where it is fired.
-fn scan(walls: &[Wall], way: &dyn Fn(f64) -> Pose, seq: u64) -> Scan {
+pub(crate) fn scan(walls: &[Wall], way: &dyn Fn(f64) -> Pose, seq: u64) -> Scan {
     let stamp_ns = seq as i64 * PERIOD_NS;
     let geometry = Geometry {
         angle_min: -135_f64.to_radians(),
@@ -206,7 +206,7 @@ fn scans_of_nothing_begin_no_map() {
 }
 
 /// A ring of corridors, 16 m by 12 m, with a niche or pillar here and there, none like another.
-fn ring() -> Vec<Wall> {
+pub(crate) fn ring() -> Vec<Wall> {
     let rectangle = |[x0, y0]: [f64; 2], [x1, y1]: [f64; 2]| {
         [[[x0, y0], [x1, y0]], [[x1, y0], [x1, y1]], [[x1, y1], [x0, y1]], [[x0, y1], [x0, y0]]]
     };
