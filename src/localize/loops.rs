@@ -17,7 +17,10 @@ use super::search::{self, Headings};
 use super::submap::{Submap, index};
 use crate::pose::{Pose, interpolate};
 use nalgebra::{Matrix3, Vector3};
-use std::{collections::HashSet, fmt};
+use std::{
+    collections::{HashMap, HashSet},
+    fmt,
+};
 
 /// Way and turn between two scans that are put into a segment (m, rad).
 const KEY: [f64; 2] = [0.15, 0.15];
@@ -41,6 +44,11 @@ const KNOWN: [f64; 2] = [0.3, 0.5];
 const ONLY: f64 = 0.85;
 /// How far a refinement may lead (m, rad): beyond, it is another place that it found.
 const REFINED: [f64; 2] = [0.5, 0.15];
+/// What was tried from a pose that differs by less need not be tried again (m, rad): a refinement leads to the same place, and a
+/// search looks at the same headings.
+const SAME_NEAR: [f64; 2] = [0.05, 0.01];
+/// See [`SAME_NEAR`].
+const SAME_FAR: [f64; 2] = [1.0, 0.05];
 /// Searches of a whole map for one segment at most, and for all of a drive.
 const SEARCHES: [usize; 2] = [4, 600];
 /// Deviations of a closure beside those of the match (m, rad): segments bend.
@@ -113,6 +121,58 @@ impl Odometer {
 pub struct Drive {
     segments: Vec<Segment>,
     odometer: Odometer,
+    /// Way until the last of its scans (m).
+    end: f64,
+    known: Known,
+}
+
+/// Numbers of two segments: of the one whose map it is, and of the one whose points are laid onto it.
+type Pair = (usize, usize);
+
+/// What was found when segments were laid onto each other's maps: near where they were expected, and anywhere. Each search
+/// would else begin with all that the one before has done.
+#[derive(Debug, Default)]
+struct Known {
+    near: HashMap<Pair, Tried<Match>>,
+    far: HashMap<Pair, Tried<Option<Match>>>,
+    /// Segments that were complete then; the others have grown since.
+    complete: usize,
+}
+
+impl Known {
+    fn forget_incomplete(&mut self) {
+        self.near.retain(|(_, to), _| *to < self.complete);
+        self.far.retain(|(_, to), _| *to < self.complete);
+    }
+}
+
+/// What was found from an expected pose.
+#[derive(Clone, Copy, Debug)]
+struct Tried<T> {
+    expected: Pose,
+    found: T,
+}
+
+impl<T: Copy> Tried<T> {
+    /// What is known of a pair, or else what is found, where the pose that is expected is another by so much (m, rad).
+    fn or_try(
+        known: &mut HashMap<Pair, Tried<T>>,
+        pair: Pair,
+        expected: Pose,
+        [place, turn]: [f64; 2],
+        find: impl FnOnce() -> T,
+    ) -> T {
+        let is_as_before = |tried: &&Tried<T>| {
+            let off = difference(&tried.expected, &expected);
+            off.xy().norm() <= place && off.z.abs() <= turn
+        };
+        if let Some(tried) = known.get(&pair).filter(is_as_before) {
+            return tried.found;
+        }
+        let found = find();
+        known.insert(pair, Tried { expected, found });
+        found
+    }
 }
 
 /// Two segments that show the same.
@@ -183,6 +243,7 @@ impl Drive {
 
     /// Takes in a scan that an [`Odometer`] of its own has told to be enough, after so much way (m).
     pub fn add_key(&mut self, way: f64, pose: &Pose, points: &Points) {
+        self.end = way;
         if self.segments.last().is_none_or(|last| way >= last.way + STEP) {
             for complete in self.segments.iter_mut().filter(|segment| way >= segment.way + LENGTH) {
                 complete.taken = HashSet::new();
@@ -207,7 +268,16 @@ impl Drive {
     }
 
     /// Seeks loops, and how to close them where the drive has been bent like `bent` already.
-    pub fn close(&self, bent: Option<&Correction>) -> Loops {
+    pub fn close(&mut self, bent: Option<&Correction>) -> Loops {
+        let mut known = std::mem::take(&mut self.known);
+        known.forget_incomplete();
+        let loops = self.close_knowing(&mut known, bent);
+        known.complete = self.segments.partition_point(|segment| segment.way + LENGTH <= self.end);
+        self.known = known;
+        loops
+    }
+
+    fn close_knowing(&self, known: &mut Known, bent: Option<&Correction>) -> Loops {
         let before: Vec<Pose> = self.segments.iter().map(|segment| segment.pose).collect();
         let now: Vec<Pose> = self
             .segments
@@ -218,8 +288,8 @@ impl Drive {
         let mut nodes = now.clone();
         let mut agreed: Vec<Closure> = Vec::new();
         for round in 0..ROUNDS {
-            let found = self.seek(&nodes, round == 0);
-            let Some((bent, kept)) = self.believe(&before, &way, found) else { break };
+            let found = self.seek(known, &nodes, round == 0);
+            let Some((bent, kept)) = self.believe(known, &before, &way, found) else { break };
             // Whoever finds fewer from a better start was wrong.
             if kept.len() < agreed.len() {
                 break;
@@ -254,7 +324,7 @@ impl Drive {
 
     /// Segments that show what others show, where the nodes are about right; `far`: where they may be out by as much as such a
     /// way allows.
-    fn seek(&self, nodes: &[Pose], far: bool) -> Vec<Closure> {
+    fn seek(&self, known: &mut Known, nodes: &[Pose], far: bool) -> Vec<Closure> {
         let mut closures = Vec::new();
         let mut searches = 0;
         for (to, segment) in self.segments.iter().enumerate() {
@@ -267,7 +337,8 @@ impl Drive {
                 .iter()
                 .take_while(|&&from| apart(from) <= NEAR)
                 .filter_map(|&from| {
-                    Some((from, segment.fits_near(&self.segments[from].map, &expected(from))?))
+                    let there = self.refined(known, (from, to), expected(from));
+                    (is_near(&there, &expected(from)) && fits(&there, KNOWN[0])).then_some((from, there))
                 })
                 .collect();
             // Whoever is at home already need not be sought far away.
@@ -279,7 +350,9 @@ impl Drive {
                 let may_be = others.iter().filter(|&&from| apart(from) <= allowed(from)[0]);
                 for &from in may_be.take(SEARCHES[0].min(SEARCHES[1] - searches)) {
                     searches += 1;
-                    let there = segment.fits_far(&self.segments[from].map, &expected(from), allowed(from));
+                    let there = Tried::or_try(&mut known.far, (from, to), expected(from), SAME_FAR, || {
+                        segment.fits_far(&self.segments[from].map, &expected(from), allowed(from))
+                    });
                     found.extend(there.map(|there| (from, there)));
                 }
             }
@@ -290,9 +363,18 @@ impl Drive {
         closures
     }
 
+    /// Where a segment lies best in the map of another one, near where it is expected.
+    fn refined(&self, known: &mut Known, (from, to): Pair, expected: Pose) -> Match {
+        let (map, points) = (&self.segments[from].map, &self.segments[to].points);
+        Tried::or_try(&mut known.near, (from, to), expected, SAME_NEAR, || {
+            refine(map, points, &free(expected))
+        })
+    }
+
     /// The nodes bent to the closures that can be believed, and these.
     fn believe(
         &self,
+        known: &mut Known,
         before: &[Pose],
         way: &[Edge],
         mut found: Vec<Closure>,
@@ -306,7 +388,7 @@ impl Drive {
             let others = found.iter().copied().filter(|closure| !is_in_set(closure)).collect();
             if let Some((nodes, kept)) = bend(before, way, set) {
                 let bent: f64 = way.iter().map(|edge| edge.squared_deviations(&nodes)).sum();
-                if kept.len() >= WITNESSES && bent <= MOST_BENT && !self.is_contradicted(&nodes) {
+                if kept.len() >= WITNESSES && bent <= MOST_BENT && !self.is_contradicted(known, &nodes) {
                     return Some((nodes, kept));
                 }
             }
@@ -316,7 +398,7 @@ impl Drive {
     }
 
     /// Whether much of what lies together then does not look alike.
-    fn is_contradicted(&self, nodes: &[Pose]) -> bool {
+    fn is_contradicted(&self, known: &mut Known, nodes: &[Pose]) -> bool {
         let (mut looks, mut against) = (0, 0);
         for (to, segment) in self.segments.iter().enumerate() {
             for (from, other) in self.segments[..to].iter().enumerate() {
@@ -325,12 +407,10 @@ impl Drive {
                     continue;
                 }
                 let expected = other.pose * nodes[from].inverse() * nodes[to];
-                let found = refine(&other.map, &segment.points, &free(expected));
-                let off = difference(&found.pose, &expected);
-                let is_near = off.xy().norm() <= REFINED[0] && off.z.abs() <= REFINED[1];
+                let found = self.refined(known, (from, to), expected);
                 if found.known >= KNOWN[1] {
                     looks += 1;
-                    against += usize::from(found.explained < CONTRADICTS || !is_near);
+                    against += usize::from(found.explained < CONTRADICTS || !is_near(&found, &expected));
                 }
             }
         }
@@ -396,14 +476,6 @@ impl Segment {
         }
     }
 
-    /// Its place in another segment's map, near where it is expected.
-    fn fits_near(&self, map: &Submap, expected: &Pose) -> Option<Match> {
-        let found = refine(map, &self.points, &free(*expected));
-        let off = difference(&found.pose, expected);
-        let is_near = off.xy().norm() <= REFINED[0] && off.z.abs() <= REFINED[1];
-        (is_near && fits(&found, KNOWN[0])).then_some(found)
-    }
-
     /// Its place in another segment's map within a distance and a turn (m, rad) of the expected one, if there is exactly one.
     fn fits_far(&self, map: &Submap, expected: &Pose, [reach, turn]: [f64; 2]) -> Option<Match> {
         let headings = Headings { middle: expected.rotation.angle(), turn };
@@ -429,6 +501,12 @@ impl Closure {
     fn is_same(&self, other: &Closure) -> bool {
         (self.edge.from, self.edge.to) == (other.edge.from, other.edge.to)
     }
+}
+
+/// Whether a refinement has led to the place that was meant.
+fn is_near(found: &Match, expected: &Pose) -> bool {
+    let off = difference(&found.pose, expected);
+    off.xy().norm() <= REFINED[0] && off.z.abs() <= REFINED[1]
 }
 
 fn fits(found: &Match, known: f64) -> bool {

@@ -44,7 +44,7 @@ pub(super) fn run(
     source.feed(&mut located, &mut report)?;
     located.mapper.finish();
     located.take_outcomes();
-    let Located { mapper: first, mut places, drive, .. } = located;
+    let Located { mapper: first, mut places, mut drive, .. } = located;
 
     let loops = drive.close(None);
     if let Loops::Bent(correction) = &loops {
