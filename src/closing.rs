@@ -337,7 +337,7 @@ impl History {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::{
         localize::tests::{ring, scan},
@@ -362,7 +362,7 @@ mod tests {
     }
 
     /// Odometry is true, but the scanner bends walls, and what lies some metres back is matched no more.
-    fn settings(close_loops: bool) -> MapperSettings {
+    pub(crate) fn settings(close_loops: bool) -> MapperSettings {
         let mut settings = MapperSettings { poses: PoseUse::Odometry, close_loops, ..Default::default() };
         settings.localize.submap_way = 5.0;
         settings
@@ -377,6 +377,16 @@ mod tests {
             *range = (bent * 1000.0).round() as f32 / 1000.0;
         }
         scan
+    }
+
+    /// What comes of a place: true odometry and a scan.
+    pub(crate) fn taken(walls: &[[[f64; 2]; 2]], seq: u64) -> ([StampedPose; 2], Scan) {
+        let (pose, scan) = (truth(seq), bent_scan(walls, seq));
+        let odometry = [scan.stamp_ns, scan.end_ns()].map(|stamp_ns| {
+            let received_ns = stamp_ns;
+            StampedPose { stamp_ns, received_ns, pose, covariance: None, reset: 0 }
+        });
+        (odometry, scan)
     }
 
     /// A drive round the ring.
@@ -411,17 +421,8 @@ mod tests {
         }
 
         fn take(&mut self, walls: &[[[f64; 2]; 2]], seq: u64) {
-            let (at, scan) = (truth(seq), bent_scan(walls, seq));
-            for stamp_ns in [scan.stamp_ns, scan.end_ns()] {
-                let received_ns = stamp_ns;
-                self.mapper.on_pose(StampedPose {
-                    stamp_ns,
-                    received_ns,
-                    pose: at,
-                    covariance: None,
-                    reset: 0,
-                });
-            }
+            let (odometry, scan) = taken(walls, seq);
+            odometry.into_iter().for_each(|pose| self.mapper.on_pose(pose));
             self.mapper.on_scan(scan);
             self.take_outcomes();
         }

@@ -268,3 +268,69 @@ impl Delays {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::closing::tests::{settings, taken};
+    use crate::live::queues::{TO_MAIN, TO_RECORDER, queue};
+    use crate::localize::tests::ring;
+    use crossbeam_channel::{bounded, unbounded};
+
+    /// Scans and poses all at once, the tasks beside: whenever these were done, it can be told from what was recorded.
+    #[test]
+    fn loops_are_closed_beside_and_again_in_the_same_places() {
+        let (to_mapper, inbox) = unbounded();
+        let walls = ring();
+        for seq in 0..800 {
+            let (odometry, scan) = taken(&walls, seq);
+            odometry.into_iter().for_each(|pose| to_mapper.send(ToMapper::Pose(pose)).unwrap());
+            to_mapper.send(ToMapper::Scan(scan)).unwrap();
+        }
+        drop(to_mapper);
+        let (main, news, _) = queue(&TO_MAIN);
+        let (recorder, records, _) = queue(&TO_RECORDER);
+        let ((to_do, todo), (done_to, done)) = (bounded(1), bounded(1));
+        let worker = std::thread::spawn(move || do_tasks(&todo, &done_to));
+        let mapping = Mapping {
+            mapper: Mapper::new(settings(true)),
+            main,
+            recorder: Some(recorder),
+            tasks: Some(Tasks { to_do, done, is_away: false }),
+            map_every: Duration::MAX,
+            save_every: None,
+            shared: Arc::default(),
+        };
+        mapping.run(&inbox);
+        worker.join().unwrap();
+
+        let mut again = Mapper::new(settings(true));
+        let mut task = None;
+        for record in records.try_iter() {
+            match record {
+                Record::PoseReceived { pose, .. } => again.on_pose(pose),
+                Record::Scan(scan) => again.on_scan(Scan::clone(&scan)),
+                Record::TaskDone { .. } => {
+                    let task = task.take().or_else(|| again.last_task()).expect("it was given away");
+                    again.take_back(Task::run(task));
+                }
+                _ => continue,
+            }
+            task = task.or_else(|| again.next_task());
+        }
+        again.finish();
+        let mut closed = 0;
+        let mut last = None;
+        for news in news.try_iter() {
+            match news {
+                FromMapper::Moved(_) => closed += 1,
+                FromMapper::Map(map, report) => last = Some((map, report.loops)),
+                FromMapper::Inserted { .. } | FromMapper::Saved(_) => {}
+            }
+        }
+        let (map, loops) = last.unwrap();
+        assert!(closed > 0, "{loops:?}");
+        assert_eq!(again.report().loops, loops);
+        assert!(again.map() == *map, "the maps differ");
+    }
+}
