@@ -14,7 +14,7 @@ const STARTS: [f64; 2] = [0.0, 10.0];
 const PUT_DOWN: (u32, f64) = (20, 45.0);
 
 const NO_TROUBLE: Trouble =
-    Trouble { lost_scans: 0.0, random_returns: 0.0, half_odometry: false, slip: false, skip: 0.0 };
+    Trouble { lost_scans: 0.0, random_returns: 0.0, bent: 0.0, half_odometry: false, slip: false, skip: 0.0 };
 /// What goes wrong: nothing, half of the odometry is missing, the wheels slip.
 const TROUBLES: [Trouble; 3] =
     [NO_TROUBLE, Trouble { half_odometry: true, ..NO_TROUBLE }, Trouble { slip: true, ..NO_TROUBLE }];
