@@ -28,7 +28,8 @@ use std::fmt;
 
 /// A drive is searched for loops when it is this long (m): none is shorter.
 const FIRST_SEARCH: f64 = 20.0;
-/// ... and again after so much way (m), and this part of the way so far: a search of 200 m takes 3 s, and longer ones more.
+/// ... and again after so much way (m), and this part of the way so far: all searches of eight laps of 190 m took 4 % of the time of
+/// the drive, those of four laps 2 %.
 const NEXT_SEARCH: [f64; 2] = [10.0, 0.1];
 /// The first and the last scans of a stand that are kept, two seconds each: what stood there when the robot came may be gone when
 /// it leaves. Of 2,200 occupied cells of a busy lobby in which it stood for 15 and 20 s, the map that was made anew had 19 no more
@@ -36,8 +37,8 @@ const NEXT_SEARCH: [f64; 2] = [10.0, 0.1];
 const STAND: usize = 80;
 /// Who has moved by less stands (m, rad): a robot at 10 cm/s keeps all of its scans.
 const STILL: [f64; 2] = [0.03, 0.02];
-/// No more is kept (bytes): 100,000 scans, 40 minutes of driving or 2 km. A robot has this much memory to spare, and
-/// what a search takes grows faster than the way.
+/// No more is kept (bytes): 60,000 scans with what the searches made of them, 25 minutes of driving or 1.5 km. A robot has this much
+/// memory to spare, and what a search takes grows faster than the way.
 const MOST: usize = 256 << 20;
 
 /// See the module.

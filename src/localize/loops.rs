@@ -419,20 +419,22 @@ impl Drive {
 
     /// The most closures that all agree with each other.
     fn agreeing(&self, closures: &[Closure]) -> Vec<Closure> {
-        let agree: Vec<Vec<bool>> =
+        let agree: Vec<Bits> =
             closures.iter().map(|a| closures.iter().map(|b| self.agrees(a, b)).collect()).collect();
-        let friends = |a: usize| agree[a].iter().filter(|yes| **yes).count();
+        let friends: Vec<usize> = agree.iter().map(Bits::count).collect();
         let mut order: Vec<usize> = (0..closures.len()).collect();
-        order.sort_by_key(|&a| std::cmp::Reverse(friends(a)));
+        order.sort_by_key(|&a| std::cmp::Reverse(friends[a]));
         let mut best: Vec<usize> = Vec::new();
         for &seed in &order {
-            if friends(seed) <= best.len() {
+            if friends[seed] <= best.len() {
                 break;
             }
             let mut set = vec![seed];
+            let mut agreed = agree[seed].clone();
             for &next in &order {
-                if next != seed && set.iter().all(|&member| agree[member][next]) {
+                if next != seed && agreed.has(next) {
                     set.push(next);
+                    agreed.keep(&agree[next]);
                 }
             }
             if set.len() > best.len() {
@@ -455,6 +457,38 @@ impl Drive {
         let turn = AGREE[1] + AGREE[2] * between;
         let lever = here.translation.vector.norm().max(there.translation.vector.norm());
         off.z.abs() <= turn && off.xy().norm() <= AGREE[0] + turn * lever
+    }
+}
+
+/// A bit for each closure: of long drives there are thousands, and each is held against all others.
+#[derive(Clone, Debug)]
+struct Bits(Vec<u64>);
+
+impl FromIterator<bool> for Bits {
+    fn from_iter<T: IntoIterator<Item = bool>>(bits: T) -> Bits {
+        let mut words = Vec::new();
+        for (number, bit) in bits.into_iter().enumerate() {
+            if number % 64 == 0 {
+                words.push(0);
+            }
+            words[number / 64] |= u64::from(bit) << (number % 64);
+        }
+        Bits(words)
+    }
+}
+
+impl Bits {
+    fn has(&self, number: usize) -> bool {
+        self.0[number / 64] >> (number % 64) & 1 == 1
+    }
+
+    fn count(&self) -> usize {
+        self.0.iter().map(|word| word.count_ones() as usize).sum()
+    }
+
+    /// Keeps those that are in both.
+    fn keep(&mut self, others: &Bits) {
+        self.0.iter_mut().zip(&others.0).for_each(|(word, other)| *word &= other);
     }
 }
 
@@ -530,10 +564,11 @@ fn closure(from: usize, to: usize, pose: &Pose, found: &Match) -> Closure {
 /// Bends the way so that it suits the closures, without those that then still contradict it; `None` where that are too many.
 fn bend(before: &[Pose], way: &[Edge], mut closures: Vec<Closure>) -> Option<(Vec<Pose>, Vec<Closure>)> {
     let most_dropped = closures.len() / 3;
+    let mut nodes = before.to_vec();
     for _ in 0..=most_dropped {
         let edges: Vec<Edge> =
             way.iter().copied().chain(closures.iter().map(|closure| closure.edge)).collect();
-        let nodes = graph::solve(before, &edges)?;
+        nodes = graph::solve(&nodes, &edges)?;
         let deviations = closures.iter().map(|closure| closure.edge.squared_deviations(&nodes));
         let (worst, most) = deviations.enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
         if most <= OUTLIER {
