@@ -163,7 +163,7 @@ impl ClosingReport {
         match (self.is_on, self.closed) {
             (false, _) => ", the drive is too long for its loops to be closed".into(),
             (true, 0) => String::new(),
-            (true, times) => format!(", loops closed {times} times"),
+            (true, times) => format!(", loops closed: {times}"),
         }
     }
 }
