@@ -9,7 +9,7 @@ mod messages;
 
 pub use messages::{
     DiagnosticArray, DiagnosticStatus, Header, LaserScan, OccupancyGrid, Odometry, PoseReceived, ScipBytes,
-    TfMessage, Transform, TransformStamped,
+    TaskDone, TfMessage, Transform, TransformStamped,
 };
 
 /// Why bytes are not the message they should be.

@@ -12,6 +12,8 @@
 //!   y left, counter-clockwise positive (REP-103). Device units end in [`scan`].
 //! - [`mapper`] owns the grid and the poses. It has no clock and no thread: it is a function of the order of its calls.
 //! - [`localize`] finds the poses by matching where nothing outside tells them, on maps of its own.
+//! - [`closing`] keeps the scans that were matched, closes the drive's loops and has the map made anew of them. What takes long is
+//!   done outside of the mapper; when it was done is recorded.
 //! - [`grid`] holds the VisAGGE grid ([`grid::visagge`], the paper's core algorithm; [`grid::verdict`], which cells
 //!   are shown) and the standard one for comparison. It knows neither time nor files.
 //! - [`live`] gives the mapper threads, bounded queues and clocks. [`record`] keeps what came, in the order in which
@@ -26,6 +28,7 @@
 
 pub mod cdr;
 pub mod cli;
+pub mod closing;
 pub mod config;
 pub mod exit;
 pub mod grid;

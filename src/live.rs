@@ -5,11 +5,12 @@
 //! | driver | port and SCIP session | [`driver`] |
 //! | poses | the socket on which poses arrive | [`poses`] |
 //! | mapper | the grid and the poses | [`mapping`] |
+//! | loops | the task about loops that it is doing | [`mapping`] |
 //! | recorder | the recording | [`recording`] |
 //! | main | signals, supervision, status, the map's files | this one |
 //!
 //! They speak through bounded queues ([`queues`]). The end goes downstream: the driver turns the laser off and ends, then
-//! the poses, then the mapper once its queue is empty, then the recorder. Each thread ends because all that write to
+//! the poses, then the mapper once its queue is empty and the loops are closed, then the recorder. Each thread ends because all that write to
 //! its queue have, so nothing that was accepted is lost. A thread that ends by itself or panics sets the same end
 //! off, and the run then fails.
 
@@ -32,7 +33,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
-use crossbeam_channel::{Receiver, Sender as PlainSender, unbounded};
+use crossbeam_channel::{Receiver, Sender as PlainSender, bounded, unbounded};
 use log::{error, info, warn};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
@@ -48,7 +49,7 @@ use crate::record::{Record, Recorder, RecorderReport, RecorderSettings};
 use crate::report::{MapSummary, Mode, Report, Versions};
 use crate::saved::{LoadError, Loaded, MapFile, SavedMap};
 use driver::{Driver, Opener};
-use mapping::{FromMapper, Mapping};
+use mapping::{FromMapper, Mapping, Tasks};
 use queues::{Gauge, Sender, TO_MAIN, TO_MAPPER, TO_RECORDER, queue};
 use shared::{Shared, lock};
 use status::Status;
@@ -199,8 +200,17 @@ impl Parts {
             }
             None => None,
         };
+        let tasks = if self.mapper.closes_loops() {
+            // One is away at a time.
+            let ((to_do, todo), (done_to, done)) = (bounded(1), bounded(1));
+            start("loops", Box::new(move || mapping::do_tasks(&todo, &done_to)))?;
+            Some(Tasks { to_do, done, is_away: false })
+        } else {
+            None
+        };
         let mapping = Mapping {
             mapper: self.mapper,
+            tasks,
             main: to_main,
             recorder: recorder.clone(),
             map_every: Duration::from_secs_f64(self.config.output.every_s),
@@ -277,6 +287,9 @@ impl Begun {
         if config.mapper.poses == PoseUse::Odometry {
             info!("nothing is mapped until the scanner's place in it has been found");
         }
+        if config.mapper.closes_loops() {
+            info!("loops are not closed: the scans that made it are not there to be put elsewhere");
+        }
         Ok(Self { mapper, map_file: Some(file), with: Some(bytes) })
     }
 }
@@ -295,6 +308,7 @@ fn create_recorder(
         media_type: "application/toml".into(),
         data: toml::to_string(config)?.into_bytes(),
     }];
+    let closes_loops = config.mapper.closes_loops() && begun_with.is_none();
     // A replay begins with it as well.
     attachments.extend(begun_with.map(|data| crate::record::Attachment {
         name: crate::record::BEGUN_WITH.into(),
@@ -308,6 +322,7 @@ fn create_recorder(
         session: crate::record::SessionInfo {
             software: concat!("visagged ", env!("CARGO_PKG_VERSION")).into(),
             mapper: serde_json::to_value(&config.mapper)?,
+            closes_loops,
             stamps_at_rear: session.monitor.stamp_reference == scip::StampReference::Rear,
             pose_source: config.pose.source.to_string(),
         },
@@ -392,6 +407,16 @@ impl Supervisor {
                     self.fail(Exit::Io, error);
                 }
             }
+            FromMapper::Moved(moved) => {
+                let moved = moved.shifted(self.wall_minus_monotonic_ns);
+                if let Some(outputs) = &mut self.outputs
+                    && !self.output_failed
+                    && let Err(error) = outputs.move_poses(&moved)
+                {
+                    self.output_failed = true;
+                    self.fail(Exit::Io, error);
+                }
+            }
             FromMapper::Saved(map) => self.save_map(&map),
             FromMapper::Map(map, report) => {
                 let is_last = self.phase != Phase::Running;
@@ -417,8 +442,12 @@ impl Supervisor {
         match end.name {
             // No scans come any more; the poses that came are enough.
             "driver" => self.shared.stop_poses.store(true, Relaxed),
-            // Main's is the last end of the recorder's queue.
-            "mapper" => self.recorder = None,
+            "mapper" => {
+                // Main's is the last end of the recorder's queue.
+                self.recorder = None;
+                // What is still being done about loops came too late.
+                self.running.retain(|name| *name != "loops");
+            }
             _ => {}
         }
     }

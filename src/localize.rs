@@ -154,8 +154,12 @@ pub struct Localizer {
     /// Way driven since `following` was begun, and since the last key scan (m).
     submap_way: f64,
     last_key: Option<Pose>,
+    /// Where the frame of `current` lies in the map that is shown: elsewhere, once a loop was closed.
+    frame: Pose,
+    /// When `current` was begun to be matched against (ns).
+    since_ns: i64,
     /// Maps that were matched against before, oldest first, at most [`KEPT`]: for when the place is lost.
-    former: Vec<Submap>,
+    former: Vec<Former>,
     points: Points,
     /// Scans that have to fit before one is inserted again, after one that did not.
     probation: u32,
@@ -171,6 +175,16 @@ pub struct Localizer {
     /// Whether the last one did.
     is_ambiguous: bool,
     scans: u32,
+}
+
+/// A map that was matched against before.
+#[derive(Debug)]
+struct Former {
+    map: Submap,
+    /// Where its frame lies in the map that is shown.
+    frame: Pose,
+    /// When it was begun to be matched against, which is the middle of the way that made it (ns).
+    since_ns: i64,
 }
 
 /// First scans that are all added to the map, so that its beginning does not rest on the noise of one.
@@ -192,6 +206,8 @@ impl Localizer {
             standard: standard.then(|| Standard::new(STANDARD_CELL, points::RANGE_MAX.into())),
             submap_way: 0.0,
             last_key: None,
+            frame: Pose::identity(),
+            since_ns: i64::MIN,
             former: Vec::new(),
             points: Points::default(),
             probation: 0,
@@ -237,10 +253,18 @@ impl Localizer {
     pub fn bytes(&self) -> usize {
         [&self.current, &self.following]
             .into_iter()
-            .chain(&self.former)
+            .chain(self.former.iter().map(|former| &former.map))
             .chain(&self.known)
             .map(Submap::bytes)
             .sum()
+    }
+
+    /// What was shown is shown elsewhere now: `moved` says where what was there at a time (ns) belongs.
+    pub fn on_moved(&mut self, moved: impl Fn(i64) -> Pose) {
+        self.frame = moved(i64::MAX) * self.frame;
+        for former in &mut self.former {
+            former.frame = moved(former.since_ns) * former.frame;
+        }
     }
 
     /// Locates a scan.
@@ -409,7 +433,8 @@ impl Localizer {
             return Some(Doubt::Lost);
         }
         let own = (self.current.keys() > 0).then_some(&self.current);
-        let maps: Vec<&Submap> = self.known.iter().chain(own).chain(&self.former).collect();
+        let maps: Vec<&Submap> =
+            self.known.iter().chain(own).chain(self.former.iter().map(|former| &former.map)).collect();
         let number = self.searched % maps.len().max(1);
         self.searched = number + 1;
         let Some(&map) = maps.get(number) else { return Some(Doubt::Lost) };
@@ -427,14 +452,12 @@ impl Localizer {
         let is_known = self.known.is_some() && number == 0;
         let former = number.checked_sub(maps.len() - self.former.len());
         if is_known || former.is_some() {
-            let map = former.map(|former| self.former.remove(former)).unwrap_or_default();
-            let left = std::mem::replace(&mut self.current, map);
+            let new = Former { map: Submap::default(), frame: Pose::identity(), since_ns: motion.stamp_ns };
+            let next = former.map(|former| self.former.remove(former)).unwrap_or(new);
             self.following = Submap::default();
             self.submap_way = 0.0;
             self.last_key = None;
-            if left.keys() > 0 {
-                self.keep(left);
-            }
+            self.change_to(next);
         }
         motion.jump(&found);
         self.good_ns = motion.stamp_ns;
@@ -448,11 +471,18 @@ impl Localizer {
         Some(Doubt::Ambiguous)
     }
 
-    fn keep(&mut self, map: Submap) {
+    /// Matches against another map from now on.
+    fn change_to(&mut self, next: Former) {
+        let map = std::mem::replace(&mut self.current, next.map);
+        let left = Former { map, frame: self.frame, since_ns: self.since_ns };
+        (self.frame, self.since_ns) = (next.frame, next.since_ns);
+        if left.map.keys() == 0 {
+            return;
+        }
         if self.former.len() == KEPT {
             self.former.remove(0);
         }
-        self.former.push(map);
+        self.former.push(left);
     }
 
     /// Notes the motion, adds the scan to the matching map where it is time to, and puts the result together.
@@ -470,6 +500,8 @@ impl Localizer {
         if doubt.is_none() && self.is_key(&at) {
             self.add_key(&at, scan, [start, end]);
         }
+        let turn = self.frame.rotation.to_rotation_matrix().to_homogeneous();
+        let covariance = turn * covariance * turn.transpose();
         self.motion = Some(motion);
         let c = |row: usize, column: usize| covariance[(row, column)] * CAUTION * CAUTION;
         Located {
@@ -495,9 +527,8 @@ impl Localizer {
         }
         if self.submap_way > self.settings.submap_way {
             self.submap_way = 0.0;
-            let following = std::mem::take(&mut self.following);
-            let left = std::mem::replace(&mut self.current, following);
-            self.keep(left);
+            let map = std::mem::take(&mut self.following);
+            self.change_to(Former { map, frame: self.frame, since_ns: scan.stamp_ns });
         }
         self.current.insert(&self.points, at);
         self.following.insert(&self.points, at);
@@ -506,8 +537,8 @@ impl Localizer {
     fn finish_without(&self, at: Pose, start: Pose, end: Pose) -> Located {
         let to_base = self.mount.inverse();
         Located {
-            start: at * start * to_base,
-            end: at * end * to_base,
+            start: self.frame * at * start * to_base,
+            end: self.frame * at * end * to_base,
             covariance: [0.0; 6],
             doubt: Some(Doubt::Poor),
         }
@@ -651,4 +682,4 @@ fn contradicted(map: &Submap, points: &Points, at: &Pose) -> f64 {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -203,11 +203,14 @@ fn replay_files(args: &ReplayArgs) -> Result<ExitCode, Failure> {
     let mut output_error = None;
     let bar = replay::progress_bar();
     let mut on_outcome = |outcome| {
-        if let Outcome::Inserted { stamp_ns, start, .. } = outcome
-            && output_error.is_none()
-        {
-            output_error = outputs.add_pose(stamp_ns, &start).err();
+        if output_error.is_some() {
+            return;
         }
+        output_error = match outcome {
+            Outcome::Inserted { stamp_ns, start, .. } => outputs.add_pose(stamp_ns, &start).err(),
+            Outcome::Moved(moved) => outputs.move_poses(&moved).err(),
+            Outcome::Skipped { .. } => None,
+        };
     };
     let result = replay::run(&options, &mut on_outcome, &mut |progress| replay::show(&bar, progress));
     bar.finish_and_clear();
@@ -233,6 +236,9 @@ fn replay_files(args: &ReplayArgs) -> Result<ExitCode, Failure> {
     );
     for (reason, count) in &mapper.scans_skipped {
         info!("{count} scans are not: {reason:?}");
+    }
+    if let Some(closed) = mapper.loops.as_ref().and_then(|loops| loops.last) {
+        info!("{closed}");
     }
     let report =
         Report::of_replay(&map, mapper, replayed.input, &replayed.settings, started_s, started.elapsed());

@@ -6,6 +6,7 @@
 //! the scans are [located](crate::localize) by what was seen before, with odometry as a guide where it comes.
 
 use crate::{
+    closing::{Closing, ClosingReport, Done, Task, moved::Moved},
     grid::{
         Grid,
         saved::BadGrid,
@@ -21,7 +22,10 @@ use crate::{
 use hdrhistogram::Histogram;
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, VecDeque};
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::Arc,
+};
 
 /// Which grid is kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -105,6 +109,9 @@ pub struct MapperSettings {
     pub fallback: Fallback,
     /// How scans are located, where poses are odometry or there are none.
     pub localize: LocalizeSettings,
+    /// Whether loops are closed while the drive goes on, where scans are matched in a map that began empty; not with `glints`.
+    /// Default true.
+    pub close_loops: bool,
     /// What the VisAGGE grid assumes.
     pub visagge: VisaggeSettings,
 }
@@ -121,8 +128,17 @@ impl Default for MapperSettings {
             poses: PoseUse::default(),
             fallback: Fallback::default(),
             localize: LocalizeSettings::default(),
+            close_loops: true,
             visagge: VisaggeSettings::default(),
         }
+    }
+}
+
+impl MapperSettings {
+    /// Whether a mapper with an empty map closes loops. Who is told where scans were taken believes it; and the intensities
+    /// that mark glints are not kept.
+    pub fn closes_loops(&self) -> bool {
+        self.close_loops && self.poses == PoseUse::Odometry && self.mapper != MapperKind::Glints
     }
 }
 
@@ -160,8 +176,8 @@ impl From<Doubt> for SkipReason {
     }
 }
 
-/// What became of a scan.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// What became of a scan, or of all of them.
+#[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
     /// It is in the map.
     Inserted {
@@ -186,6 +202,31 @@ pub enum Outcome {
         /// Why not.
         reason: SkipReason,
     },
+    /// A loop was closed: what was inserted until now lies elsewhere.
+    Moved(Arc<Moved>),
+}
+
+impl Outcome {
+    /// The same with times that are counted from another moment.
+    pub fn shifted(self, by_ns: i64) -> Outcome {
+        match self {
+            Outcome::Inserted { seq, stamp_ns, start, end, covariance } => {
+                Outcome::Inserted { seq, stamp_ns: stamp_ns + by_ns, start, end, covariance }
+            }
+            Outcome::Skipped { seq, stamp_ns, reason } => {
+                Outcome::Skipped { seq, stamp_ns: stamp_ns + by_ns, reason }
+            }
+            Outcome::Moved(moved) => Outcome::Moved(Arc::new(moved.shifted(by_ns))),
+        }
+    }
+
+    /// Number of the scan that it is about.
+    pub fn seq(&self) -> Option<u64> {
+        match self {
+            Outcome::Inserted { seq, .. } | Outcome::Skipped { seq, .. } => Some(*seq),
+            Outcome::Moved(_) => None,
+        }
+    }
 }
 
 /// Why a mapper cannot go on in a saved map.
@@ -281,6 +322,9 @@ pub struct MapperReport {
     /// How the scans were located; absent where poses in the map were given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub localization: Option<Box<LocalizeReport>>,
+    /// How its loops stand; absent where none are closed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub loops: Option<ClosingReport>,
 }
 
 /// Locates scans and keeps the account of it.
@@ -304,6 +348,8 @@ pub struct Mapper {
     grid: Grid,
     /// Present where poses are not given in the map.
     matching: Option<Matching>,
+    /// Present where loops are closed.
+    closing: Option<Closing>,
     poses: PoseBuffer,
     waiting: VecDeque<Scan>,
     outcomes: VecDeque<Outcome>,
@@ -342,7 +388,8 @@ impl Mapper {
             Localizer::new(localize, mount)
         };
         let mapper = Mapper::with(Grid::Visagge(Box::new(grid)), localizer, settings);
-        Ok(Mapper { inserted_before: saved.scans, ..mapper })
+        // What was loaded has no scans that could be put elsewhere.
+        Ok(Mapper { inserted_before: saved.scans, closing: None, ..mapper })
     }
 
     fn with(grid: Grid, localizer: Localizer, settings: MapperSettings) -> Mapper {
@@ -350,6 +397,7 @@ impl Mapper {
             grid,
             matching: (settings.poses == PoseUse::Odometry || settings.fallback == Fallback::Match)
                 .then(|| Matching::new(localizer)),
+            closing: settings.closes_loops().then(|| Closing::new(&settings)),
             settings,
             poses: PoseBuffer::default(),
             waiting: VecDeque::new(),
@@ -411,6 +459,38 @@ impl Mapper {
         self.take_waiting(pose.received_ns);
     }
 
+    #[cfg(test)]
+    pub(crate) fn closing(&mut self) -> Option<&mut Closing> {
+        self.closing.as_mut()
+    }
+
+    /// Whether it closes loops.
+    pub fn closes_loops(&self) -> bool {
+        self.closing.is_some()
+    }
+
+    /// What is to be done about loops next, where it is time to: to be run wherever there is time, and brought back.
+    pub fn next_task(&mut self) -> Option<Task> {
+        self.closing.as_mut()?.next_task()
+    }
+
+    /// The same at the end of the drive, when no task is away.
+    pub fn last_task(&mut self) -> Option<Task> {
+        self.closing.as_mut()?.last_task()
+    }
+
+    /// Takes a task back that was done.
+    pub fn take_back(&mut self, done: Done) {
+        let Some(moved) = self.closing.as_mut().and_then(|closing| closing.take_back(done, &mut self.grid))
+        else {
+            return;
+        };
+        if let Some(matching) = &mut self.matching {
+            matching.localizer.on_moved(|stamp_ns| moved.at(stamp_ns));
+        }
+        self.outcomes.push_back(Outcome::Moved(Arc::new(moved)));
+    }
+
     /// No more poses will come: what still waits is given up.
     pub fn finish(&mut self) {
         self.take_waiting(i64::MAX);
@@ -450,6 +530,7 @@ impl Mapper {
             latency_us: None,
             map_bytes: self.grid.bytes(),
             localization: self.matching.as_ref().map(|matching| Box::new(matching.report())),
+            loops: self.closing.as_ref().map(Closing::report),
         }
     }
 
@@ -573,6 +654,9 @@ impl Mapper {
         self.grid.insert(&sweep);
         self.insert_ns.saturating_record(cpu_ns() - before);
         self.inserted += 1;
+        if let Some(closing) = &mut self.closing {
+            closing.keep(scan, [sweep.start, sweep.end]);
+        }
         let (seq, stamp_ns) = (scan.seq, scan.stamp_ns);
         self.outcomes.push_back(Outcome::Inserted { seq, stamp_ns, start, end, covariance });
     }
@@ -692,6 +776,7 @@ mod tests {
             .map(|outcome| match outcome {
                 Outcome::Inserted { seq, .. } => (seq, None),
                 Outcome::Skipped { seq, reason, .. } => (seq, Some(reason)),
+                Outcome::Moved(_) => panic!("there are no loops here"),
             })
             .collect()
     }
@@ -803,6 +888,7 @@ mod tests {
                         skipped += 1;
                         assert!(matches!(reason, SkipReason::NoPose | SkipReason::BeforeFirstPose));
                     }
+                    Outcome::Moved(_) => panic!("there are no loops here"),
                 }
             }
             let matched = mapper.report().localization.map_or(0, |report| report.fallen_back);

@@ -6,7 +6,7 @@
 //! time of writing.
 //!
 //! The trajectory alone grows for as long as the run lasts, so it is neither kept in memory nor written anew each
-//! time: whole lines are appended. `trajectory_poses` in the report says how many belong to the map.
+//! time: whole lines are appended, and only where a loop was closed are those that are there put where they belong. `trajectory_poses` in the report says how many belong to the map.
 
 mod nav2;
 mod npz;
@@ -14,13 +14,14 @@ mod picture;
 
 use std::collections::BTreeMap;
 use std::fs::{File, create_dir_all};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use serde::Serialize;
 use tempfile::{Builder, NamedTempFile, TempPath};
 
+use crate::closing::moved::Moved;
 use crate::map::Map;
 use crate::pose::Pose;
 use crate::report::Report;
@@ -77,6 +78,13 @@ impl Outputs {
             .with_context(|| format!("cannot write the trajectory in {}", self.folder.display()))
     }
 
+    /// Puts the poses that were added until now where they belong; times as in [`add_pose`](Self::add_pose).
+    pub fn move_poses(&mut self, moved: &Moved) -> Result<()> {
+        self.trajectory
+            .put_elsewhere(&self.folder, moved)
+            .with_context(|| format!("cannot write the trajectory in {} anew", self.folder.display()))
+    }
+
     /// Writes the set of files for this map.
     pub fn write(&mut self, map: &Map, report: &Report) -> Result<()> {
         self.write_set(map, report)
@@ -113,7 +121,7 @@ impl Outputs {
         json.push(b'\n');
         written.push(("report.json", self.write_aside(&json)?));
 
-        self.trajectory.publish(&self.folder.join("trajectory.tum"))?;
+        self.trajectory.publish(&self.folder.join(TRAJECTORY))?;
         for (name, path) in written {
             path.persist(self.folder.join(name))?;
         }
@@ -148,6 +156,8 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
     File::open(folder)?.sync_all()
 }
 
+const TRAJECTORY: &str = "trajectory.tum";
+
 /// trajectory.tum: `time x y z qx qy qz qw` a line, as evo and TUM's tools read it.
 struct Trajectory {
     lines: BufWriter<File>,
@@ -170,6 +180,24 @@ impl Trajectory {
         }
         self.lines.write_all(line.as_bytes())?;
         self.poses += 1;
+        Ok(())
+    }
+
+    /// Writes all lines anew, into another file that takes the place of this one.
+    fn put_elsewhere(&mut self, folder: &Path, moved: &Moved) -> io::Result<()> {
+        self.lines.flush()?;
+        let published = folder.join(TRAJECTORY);
+        let path = self.unpublished.as_deref().unwrap_or(&published);
+        let mut next = Trajectory::create(folder)?;
+        for text in BufReader::new(File::open(path)?).lines() {
+            let (time_ns, pose) = parse(&text?).ok_or(io::ErrorKind::InvalidData)?;
+            next.add(time_ns, &(moved.at(time_ns) * pose))?;
+        }
+        next.flush()?;
+        if self.unpublished.is_none() {
+            next.publish(&published)?;
+        }
+        *self = next;
         Ok(())
     }
 
@@ -197,6 +225,17 @@ fn line(time_ns: i64, pose: &Pose) -> String {
         "{seconds}.{nanoseconds:09} {:.9} {:.9} 0.000000000 0.000000000 0.000000000 {qz:.9} {qw:.9}\n",
         at.x, at.y
     )
+}
+
+/// Time (ns) and pose of a line.
+fn parse(line: &str) -> Option<(i64, Pose)> {
+    let mut words = line.split(' ');
+    let (seconds, nanoseconds) = words.next()?.split_once('.')?;
+    let whole_ns = seconds.parse::<i64>().ok()?.checked_mul(1_000_000_000)?;
+    let time_ns = whole_ns.checked_add(nanoseconds.parse().ok()?)?;
+    let numbers = words.map(str::parse).collect::<Result<Vec<f64>, _>>().ok()?;
+    let [x, y, _, _, _, qz, qw] = numbers[..] else { return None };
+    Some((time_ns, crate::pose::pose(x, y, crate::pose::yaw_from_quaternion([qz, qw]))))
 }
 
 #[cfg(test)]

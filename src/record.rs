@@ -9,6 +9,7 @@
 //! |---|---|
 //! | `/visagge/scip` | every read and write of the port, and the gaps between connections |
 //! | `/visagge/pose_received` | the poses as the mapper took them, every bit of them; `sequence` is the number of scans that the mapper had taken before |
+//! | `/visagge/task_done` | when the mapper took back a search for loops, or a map that was made anew; `sequence` as above |
 //! | `/odom` | the same poses for other tools; same `sequence` |
 //! | `/scan`, `/visagge/pose`, `/tf`, `/tf_static` | scans, poses used, and the frames that place one on the other |
 //! | `/map`, `/visagge/visibility`, `/diagnostics` | results |
@@ -47,6 +48,8 @@ pub mod topic {
     pub const SCIP: &str = "/visagge/scip";
     /// Poses, bit by bit.
     pub const POSE_RECEIVED: &str = "/visagge/pose_received";
+    /// When tasks were taken back.
+    pub const TASK_DONE: &str = "/visagge/task_done";
     /// Scans.
     pub const SCAN: &str = "/scan";
     /// Poses as received.
@@ -113,6 +116,11 @@ pub enum Record {
         /// Scans that the mapper had taken before.
         scans_before: u32,
     },
+    /// The mapper took back a task that was done; see [`closing`](crate::closing).
+    TaskDone {
+        /// Scans that the mapper had taken before.
+        scans_before: u32,
+    },
     /// The pose at which the mapper inserted a scan.
     PoseUsed {
         /// Time of the scan's first beam (ns).
@@ -158,6 +166,8 @@ pub struct SessionInfo {
     pub mapper: serde_json::Value,
     /// Whether the device's stamps are taken to refer to the rear of the sensor, not to step 0.
     pub stamps_at_rear: bool,
+    /// Whether the mapper closed loops, so that it is told when its tasks were done.
+    pub closes_loops: bool,
     /// Where the poses came from, for people.
     pub pose_source: String,
 }
@@ -272,6 +282,7 @@ enum Topic {
     Scip,
     Scan,
     PoseReceived,
+    TaskDone,
     Odom,
     Pose,
     Tf,
@@ -288,10 +299,11 @@ const LATCHED: &str = "- history: 1\n  depth: 1\n  reliability: 1\n  durability:
      liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  avoid_ros_namespace_conventions: false\n";
 
 /// Topic, type, schema and QoS, in the order of [`Topic`].
-const CHANNELS: [(&str, &str, &str, &str); 10] = [
+const CHANNELS: [(&str, &str, &str, &str); 11] = [
     (topic::SCIP, cdr::ScipBytes::TYPE, cdr::ScipBytes::SCHEMA, ""),
     (topic::SCAN, cdr::LaserScan::TYPE, cdr::LaserScan::SCHEMA, ""),
     (topic::POSE_RECEIVED, cdr::PoseReceived::TYPE, cdr::PoseReceived::SCHEMA, ""),
+    (topic::TASK_DONE, cdr::TaskDone::TYPE, cdr::TaskDone::SCHEMA, ""),
     (topic::ODOM, cdr::Odometry::TYPE, cdr::Odometry::SCHEMA, ""),
     ("/visagge/pose", cdr::Odometry::TYPE, cdr::Odometry::SCHEMA, ""),
     (topic::TF, cdr::TfMessage::TYPE, cdr::TfMessage::SCHEMA, ""),
@@ -460,9 +472,11 @@ impl Recorder {
             Record::Scan(scan) => scan.received_ns,
             Record::PoseReceived { pose, .. } => pose.received_ns,
             Record::PoseUsed { stamp_ns, .. } => *stamp_ns,
-            Record::Map(_) | Record::Diagnostics(_) | Record::Device(_) | Record::Attachment(_) => {
-                self.now_ns
-            }
+            Record::TaskDone { .. }
+            | Record::Map(_)
+            | Record::Diagnostics(_)
+            | Record::Device(_)
+            | Record::Attachment(_) => self.now_ns,
         });
         match record {
             Record::Scan(_) => self.scans += 1,
@@ -657,6 +671,10 @@ impl Recorder {
                 self.message(Topic::Scan, None, scan.received_ns, &laser_scan(scan, header))
             }
             Record::PoseReceived { pose, scans_before } => self.put_pose_received(pose, *scans_before),
+            Record::TaskDone { scans_before } => {
+                let message = cdr::TaskDone { scans_before: (*scans_before).into() };
+                self.message(Topic::TaskDone, Some(*scans_before), self.now_ns, &message)
+            }
             Record::PoseUsed { stamp_ns, pose } => self.put_pose_used(*stamp_ns, pose),
             Record::Map(map) => self.put_map(map),
             Record::Diagnostics(status) => {

@@ -6,6 +6,7 @@ mod optimize;
 
 use std::path::PathBuf;
 
+use crate::closing::Task;
 use crate::input::{self, InputError, InputOptions, InputReport, Sink};
 use crate::mapper::{GoingOnError, LocalizeReport, Mapper, MapperKind, MapperSettings, Mount, Outcome};
 use crate::pose::StampedPose;
@@ -99,14 +100,18 @@ pub fn run(
     let settings = settings(options, source.as_ref())?;
     let (mapper, map_file) = begin(options, &settings, source.begun_with(), &mut report)?;
     let total = source.bytes();
+    // Of a run that went on in another map, or had other settings, it is of no use to know.
+    let is_same = options.mapper.is_none() && options.map.is_none() && !options.fresh;
     let mut feeder = Feeder {
         mapper,
+        tasks: if is_same && source.tells_of_tasks() { Tasks::AsRecorded(None) } else { Tasks::AtOnce },
         wall_offset_ns: source.wall_offset_ns(),
         on_outcome,
         on_progress,
         progress: Progress { bytes: 0, total },
     };
     source.feed(&mut feeder, &mut report)?;
+    feeder.do_last_tasks();
     feeder.mapper.finish();
     feeder.give_outcomes();
     feeder.progress(total);
@@ -166,9 +171,18 @@ fn settings(options: &ReplayOptions, source: &dyn input::Source) -> Result<Mappe
     Ok(settings)
 }
 
+/// When what the mapper has to do about loops is taken to be done.
+enum Tasks {
+    /// As soon as it is to be done.
+    AtOnce,
+    /// When the recording says so; the one that is waiting for that.
+    AsRecorded(Option<Task>),
+}
+
 /// Calls the mapper.
 struct Feeder<'a> {
     mapper: Mapper,
+    tasks: Tasks,
     wall_offset_ns: i64,
     on_outcome: &'a mut dyn FnMut(Outcome),
     on_progress: &'a mut dyn FnMut(Progress),
@@ -177,10 +191,31 @@ struct Feeder<'a> {
 
 impl Feeder<'_> {
     fn give_outcomes(&mut self) {
-        while let Some(mut outcome) = self.mapper.next_outcome() {
-            let (Outcome::Inserted { stamp_ns, .. } | Outcome::Skipped { stamp_ns, .. }) = &mut outcome;
-            *stamp_ns += self.wall_offset_ns;
-            (self.on_outcome)(outcome);
+        while let Some(outcome) = self.mapper.next_outcome() {
+            (self.on_outcome)(outcome.shifted(self.wall_offset_ns));
+        }
+    }
+
+    fn do_tasks(&mut self) {
+        match &mut self.tasks {
+            Tasks::AtOnce => {
+                while let Some(task) = self.mapper.next_task() {
+                    self.mapper.take_back(task.run());
+                }
+            }
+            Tasks::AsRecorded(waiting) if waiting.is_none() => *waiting = self.mapper.next_task(),
+            Tasks::AsRecorded(_) => {}
+        }
+        self.give_outcomes();
+    }
+
+    /// A recording tells of the last tasks as well.
+    fn do_last_tasks(&mut self) {
+        if let Tasks::AtOnce = self.tasks
+            && let Some(task) = self.mapper.last_task()
+        {
+            self.mapper.take_back(task.run());
+            self.do_tasks();
         }
     }
 
@@ -193,12 +228,22 @@ impl Feeder<'_> {
 impl Sink for Feeder<'_> {
     fn on_pose(&mut self, pose: StampedPose) {
         self.mapper.on_pose(pose);
-        self.give_outcomes();
+        self.do_tasks();
     }
 
     fn on_scan(&mut self, scan: Scan) {
         self.mapper.on_scan(scan);
-        self.give_outcomes();
+        self.do_tasks();
+    }
+
+    fn on_task_done(&mut self) {
+        if let Tasks::AsRecorded(waiting) = &mut self.tasks
+            // Where none was waiting, the run had come to its end.
+            && let Some(task) = waiting.take().or_else(|| self.mapper.last_task())
+        {
+            self.mapper.take_back(task.run());
+            self.do_tasks();
+        }
     }
 
     fn on_progress(&mut self, bytes: u64) {

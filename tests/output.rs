@@ -5,6 +5,7 @@ use std::fs;
 use std::io::Read;
 use std::path::Path;
 
+use visagged::closing::moved::Moved;
 use visagged::map::{Layer, Map, Values};
 use visagged::mapper::{Mapper, MapperSettings};
 use visagged::output::Outputs;
@@ -178,4 +179,38 @@ fn a_folder_that_cannot_be_is_refused_at_the_start() {
     fs::write(folder.path().join("file"), "").unwrap();
     let error = Outputs::create(&folder.path().join("file/map")).err().expect("a file is no folder");
     assert!(format!("{error:#}").contains("file/map"), "{error:#}");
+}
+
+#[test]
+fn a_trajectory_is_put_elsewhere_where_a_loop_was_closed() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut outputs = Outputs::create(folder.path()).unwrap();
+    let poses = || -> Vec<Vec<f64>> {
+        let text = fs::read_to_string(folder.path().join("trajectory.tum")).unwrap();
+        text.lines().map(|line| line.split(' ').map(|word| word.parse().unwrap()).collect()).collect()
+    };
+    let places = || -> Vec<[f64; 3]> { poses().iter().map(|line| [line[0], line[1], line[2]]).collect() };
+    let moved = |by: f64| Moved::new(vec![(0, pose(by, 0.0, 0.0)), (2_000_000_000, pose(0.0, by, 0.0))]);
+    let map = map();
+
+    outputs.add_pose(1_500_000_000, &pose(1.0, 2.0, 0.5)).unwrap();
+    outputs.add_pose(2_500_000_000, &pose(3.0, 4.0, -3.0)).unwrap();
+    outputs.move_poses(&moved(10.0)).unwrap();
+    assert!(!folder.path().join("trajectory.tum").exists(), "not before the first set");
+    outputs.add_pose(3_500_000_000, &pose(5.0, 6.0, 0.0)).unwrap();
+    outputs.write(&map, &report(&map)).unwrap();
+    assert_eq!(places(), [[1.5, 11.0, 2.0], [2.5, 3.0, 14.0], [3.5, 5.0, 6.0]]);
+    let yaws: Vec<f64> = poses().iter().map(|line| 2.0 * line[6].atan2(line[7])).collect();
+    assert!((yaws[0] - 0.5).abs() < 1e-8 && (yaws[1] + 3.0).abs() < 1e-8, "{yaws:?}");
+
+    outputs.move_poses(&moved(-10.0)).unwrap();
+    assert_eq!(places(), [[1.5, 1.0, 2.0], [2.5, 3.0, 4.0], [3.5, 5.0, -4.0]]);
+    outputs.add_pose(4_500_000_000, &pose(7.0, 8.0, 0.0)).unwrap();
+    outputs.write(&map, &report(&map)).unwrap();
+    assert_eq!(places().last(), Some(&[4.5, 7.0, 8.0]));
+    let written: serde_json::Value =
+        serde_json::from_slice(&fs::read(folder.path().join("report.json")).unwrap()).unwrap();
+    assert_eq!(written["trajectory_poses"], 4);
+    let left = fs::read_dir(folder.path()).unwrap().count();
+    assert_eq!(left, 6, "nothing that was on the way is left");
 }

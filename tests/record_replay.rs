@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use visagged::closing::Task;
 use visagged::input::{InputError, InputOptions, PoseSource};
 use visagged::map::Map;
 use visagged::mapper::{Mapper, MapperSettings, Outcome, PoseUse};
-use visagged::pose::{StampedPose, pose, quaternion_from_yaw, yaw_from_quaternion};
+use visagged::pose::{Pose, StampedPose, pose, quaternion_from_yaw, yaw_from_quaternion};
 use visagged::record::{Direction, Record, Recorder, RecorderReport, RecorderSettings, SessionInfo};
 use visagged::replay::{self, ReplayError, ReplayOptions};
 use visagged::scan::Scan;
@@ -57,6 +58,11 @@ impl Device {
 
     /// A scan in a room of 4 x 6 m with some codes among its distances.
     fn scan(&mut self, stamp_ms: u32) -> Vec<u8> {
+        self.scan_of(stamp_ms, |bearing| (2.0 / bearing.cos().abs()).min(3.0 / bearing.sin().abs()))
+    }
+
+    /// A scan of walls that are so far (m) in a direction (rad), with some codes among its distances.
+    fn scan_of(&mut self, stamp_ms: u32, wall: impl Fn(f64) -> f64) -> Vec<u8> {
         let mut out = b"ME0000108000000\n99b\n".to_vec();
         let mut stamp = Vec::new();
         scip::number::encode(stamp_ms & 0xff_ffff, 4, &mut stamp);
@@ -64,11 +70,10 @@ impl Device {
         let mut data = Vec::with_capacity(6486);
         for step in 0..=1080 {
             let bearing = (f64::from(step) - 540.0) * std::f64::consts::TAU / 1440.0;
-            let wall = (2.0 / bearing.cos().abs()).min(3.0 / bearing.sin().abs());
             let distance = match self.random(100) {
                 0 => 1,
                 1 => 5,
-                noise => (wall * 1000.0) as u32 + noise as u32 % 20,
+                noise => (wall(bearing) * 1000.0) as u32 + noise as u32 % 20,
             };
             scip::number::encode(distance, 3, &mut data);
             scip::number::encode(2000 + self.random(500) as u32, 3, &mut data);
@@ -130,7 +135,78 @@ fn happenings(scans: i64) -> Vec<Happening> {
     all
 }
 
-/// The three threads of a live run, one after the other: each reads the port, records, and maps.
+/// Rectangles by their lower left and upper right corners: a ring of corridors with things in it, none like another.
+const RING: [[f64; 4]; 11] = [
+    [0.0, 0.0, 16.0, 12.0],
+    [2.2, 2.2, 13.8, 9.8],
+    [3.0, 0.0, 3.5, 0.3],
+    [8.0, 0.0, 9.2, 0.2],
+    [13.0, 1.9, 13.3, 2.2],
+    [15.6, 4.0, 16.0, 4.9],
+    [13.8, 7.0, 14.1, 7.4],
+    [11.0, 11.5, 11.7, 12.0],
+    [5.5, 9.8, 5.9, 10.2],
+    [0.0, 8.0, 0.3, 9.5],
+    [1.9, 4.5, 2.2, 5.1],
+];
+/// Scans of a lap round it: ten a metre, and twenty while it turns.
+const LAP: i64 = 520;
+
+/// Where the robot is in the ring.
+fn in_ring(number: i64) -> Pose {
+    let (mut at, mut number) = (pose(1.5, 1.2, 0.0), number % LAP);
+    for side in [130, 90, 130, 90] {
+        at *= pose(number.min(side) as f64 * 0.1, 0.0, 0.0);
+        number = (number - side).max(0);
+        at *= pose(0.0, 0.0, number.min(20) as f64 / 20.0 * std::f64::consts::FRAC_PI_2);
+        number = (number - 20).max(0);
+    }
+    at
+}
+
+/// Range in the ring, of a scanner that sees what is to its left too far and what is to its right too near.
+fn bent_range(at: &Pose, bearing: f64) -> f64 {
+    let from = at.translation.vector;
+    let heading = at.rotation.angle() + bearing;
+    let direction = nalgebra::Vector2::new(heading.cos(), heading.sin());
+    let mut nearest = 60.0_f64;
+    for [x0, y0, x1, y1] in RING {
+        for (axis, wall, low, high) in [(0, x0, y0, y1), (0, x1, y0, y1), (1, y0, x0, x1), (1, y1, x0, x1)] {
+            let range = (wall - from[axis]) / direction[axis];
+            let along = from[1 - axis] + range * direction[1 - axis];
+            if range > 0.0 && (low..=high).contains(&along) {
+                nearest = nearest.min(range);
+            }
+        }
+    }
+    nearest * (1.0 + 0.04 * bearing.sin())
+}
+
+/// A drive round the ring and half of it again, with true odometry.
+fn round_the_ring() -> Vec<Happening> {
+    let mut device = Device { random: 7 };
+    let mut all = vec![
+        Happening::Sent(START, b"PP\n".to_vec()),
+        Happening::Received(START + 2 * MS, Device::parameters()),
+        Happening::Sent(START + 3 * MS, b"ME0000108000000\n".to_vec()),
+        Happening::Received(START + 5 * MS, b"ME0000108000000\n00P\n\n".to_vec()),
+    ];
+    for number in 0..LAP * 3 / 2 {
+        let at = in_ring(number);
+        let bytes = device.scan_of(25 * number as u32, |bearing| bent_range(&at, bearing));
+        let end = START + 30 * MS + number * 25 * MS;
+        let odometry = |stamp_ns: i64| {
+            let received_ns = stamp_ns;
+            Happening::Pose(StampedPose { stamp_ns, received_ns, pose: at, covariance: None, reset: 0 })
+        };
+        all.push(odometry(end - 22 * MS));
+        all.push(odometry(end - MS));
+        all.push(Happening::Received(end, bytes));
+    }
+    all
+}
+
+/// The threads of a live run, one after the other: each reads the port, records, and maps.
 struct Live {
     monitor: scip::Monitor,
     mapper: Mapper,
@@ -142,19 +218,29 @@ struct Live {
     described: bool,
     /// What the mapper gives to the recorder, as late as it comes at all.
     held_back: Option<Vec<Record>>,
+    /// What is being done about loops, and the number of scans after which it is done.
+    task: Option<(Task, u32)>,
 }
+
+/// Scans that a task takes.
+const TASK: u32 = 33;
 
 impl Live {
     fn create(folder: &Path, rotate_ns: i64) -> Self {
         let mut settings = MapperSettings::default();
         settings.mount.x = 1.0 / 3.0;
         settings.mount.yaw = 0.1;
+        Self::with(settings, folder, rotate_ns)
+    }
+
+    fn with(settings: MapperSettings, folder: &Path, rotate_ns: i64) -> Self {
         let recorder_settings = RecorderSettings {
             rotate_ns,
             mount: settings.mount.pose(),
             session: SessionInfo {
                 software: "test".into(),
                 mapper: serde_json::to_value(&settings).unwrap(),
+                closes_loops: settings.closes_loops(),
                 ..SessionInfo::default()
             },
             ..RecorderSettings::new(folder)
@@ -169,6 +255,7 @@ impl Live {
             received: Vec::new(),
             described: false,
             held_back: None,
+            task: None,
         }
     }
 
@@ -188,7 +275,22 @@ impl Live {
         self.record(Record::Bytes { direction, monotonic_ns, stream_offset, data });
     }
 
+    /// Takes a task back where it is time to, and the next one.
+    fn do_tasks(&mut self) {
+        if let Some((task, _)) = self.task.take_if(|(_, due)| *due <= self.scans) {
+            self.take_back(task);
+        }
+        let next = || Some((self.mapper.next_task()?, self.scans + TASK));
+        self.task = self.task.take().or_else(next);
+    }
+
+    fn take_back(&mut self, task: Task) {
+        self.record(Record::TaskDone { scans_before: self.scans });
+        self.mapper.take_back(task.run());
+    }
+
     fn happen(&mut self, happening: Happening) {
+        self.do_tasks();
         match happening {
             Happening::Sent(now, bytes) => {
                 self.monitor.on_sent(now, &bytes);
@@ -222,6 +324,7 @@ impl Live {
                 self.scans += 1;
             }
         }
+        self.do_tasks();
         self.take_outcomes();
     }
 
@@ -235,6 +338,15 @@ impl Live {
     }
 
     fn end(mut self) -> (Map, Vec<Outcome>, RecorderReport, Vec<u8>) {
+        while let Some(task) = self
+            .task
+            .take()
+            .map(|(task, _)| task)
+            .or_else(|| self.mapper.next_task())
+            .or_else(|| self.mapper.last_task())
+        {
+            self.take_back(task);
+        }
         self.mapper.finish();
         self.take_outcomes();
         self.held_back.take().unwrap_or_default().into_iter().for_each(|record| self.record(record));
@@ -260,11 +372,7 @@ fn replayed(files: &[PathBuf], pose: Option<PoseSource>) -> (Map, Vec<Outcome>, 
     };
     let mut outcomes = Vec::new();
     // A replay tells the time since 1970, the run its monotonic clock.
-    let mut on_outcome = |mut outcome| {
-        let (Outcome::Inserted { stamp_ns, .. } | Outcome::Skipped { stamp_ns, .. }) = &mut outcome;
-        *stamp_ns -= WALL - START;
-        outcomes.push(outcome);
-    };
+    let mut on_outcome = |outcome: Outcome| outcomes.push(outcome.shifted(START - WALL));
     let mut replay = replay::run(&options, &mut on_outcome, &mut |_| {}).unwrap();
     (replay.mapper.map(), outcomes, replay)
 }
@@ -290,6 +398,38 @@ fn the_replay_is_the_run() {
         std::fs::copy(&report.files[0], Path::new(&keep).join("recording.mcap")).unwrap();
         std::fs::write(Path::new(&keep).join("received.bin"), received).unwrap();
     }
+}
+
+#[test]
+fn a_loop_is_closed_in_the_replay_where_it_was_in_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut settings = MapperSettings { poses: PoseUse::Odometry, ..MapperSettings::default() };
+    settings.localize.submap_way = 5.0;
+    let mut live = Live::with(settings, folder.path(), 5 * SECOND);
+    round_the_ring().into_iter().for_each(|happening| live.happen(happening));
+    let (map, outcomes, report, _) = live.end();
+    assert!(report.files.len() >= 3, "{report:?}");
+    let closings: Vec<usize> =
+        (0..outcomes.len()).filter(|&number| matches!(outcomes[number], Outcome::Moved(_))).collect();
+    assert!(closings.len() >= 2, "{closings:?}");
+    assert!(closings[0] < outcomes.len() - 100, "while the drive goes on: {closings:?}");
+    let (map_again, outcomes_again, replay) = replayed(&report.files, None);
+    assert_eq!(outcomes_again.len(), outcomes.len());
+    assert!(outcomes_again == outcomes, "the outcomes differ");
+    assert!(map_again == map, "the maps differ");
+    assert_eq!(replay.mapper.report().loops.unwrap().closed, closings.len() as u64);
+
+    // With settings of its own a replay does all tasks at once.
+    let options =
+        ReplayOptions { inputs: report.files, mapper: Some(replay.settings), ..ReplayOptions::default() };
+    let mut moved = Vec::new();
+    let mut number = 0;
+    let mut on_outcome = |outcome: Outcome| match outcome {
+        Outcome::Moved(_) => moved.push(number),
+        _ => number += 1,
+    };
+    replay::run(&options, &mut on_outcome, &mut |_| {}).unwrap();
+    assert!(moved[0] < closings[0], "{moved:?}");
 }
 
 #[test]

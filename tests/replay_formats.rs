@@ -40,7 +40,7 @@ fn error(options: &ReplayOptions) -> InputError {
 fn starts(outcomes: &[Outcome]) -> Vec<Pose> {
     let start = |outcome: &Outcome| match outcome {
         Outcome::Inserted { start, .. } => Some(*start),
-        Outcome::Skipped { .. } => None,
+        Outcome::Skipped { .. } | Outcome::Moved(_) => None,
     };
     outcomes.iter().filter_map(start).collect()
 }
@@ -224,12 +224,7 @@ fn bad_messages_are_counted_and_lost_scans_are_seen() {
     bag.finish();
     let (replay, outcomes) = run(&options(&[path], Some("fixed")));
     assert_eq!(outcomes.len(), 6);
-    let seqs: Vec<u64> = outcomes
-        .iter()
-        .map(|outcome| match outcome {
-            Outcome::Inserted { seq, .. } | Outcome::Skipped { seq, .. } => *seq,
-        })
-        .collect();
+    let seqs: Vec<u64> = outcomes.iter().filter_map(Outcome::seq).collect();
     assert_eq!(seqs, [0, 1, 2, 3, 6, 7]);
     let errors = &replay.input.decode_errors;
     assert_eq!(errors["LaserScan"], 1);

@@ -510,3 +510,23 @@ impl Message for PoseReceived {
         })
     }
 }
+
+/// `visagge_msgs/msg/TaskDone`: the mapper took back a task that was done; see [`closing`](crate::closing).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TaskDone {
+    /// Scans that the mapper had taken before.
+    pub scans_before: u64,
+}
+
+impl Message for TaskDone {
+    const TYPE: &'static str = "visagge_msgs/msg/TaskDone";
+    const SCHEMA: &'static str = "uint64 scans_before\n";
+
+    fn write(&self, out: &mut Encoder<'_>) {
+        out.u64(self.scans_before);
+    }
+
+    fn read(input: &mut Decoder<'_>) -> Result<Self, CdrError> {
+        Ok(Self { scans_before: input.u64()? })
+    }
+}

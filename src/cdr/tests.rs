@@ -154,6 +154,9 @@ proptest! {
     }
 
     #[test]
+    fn tasks_come_back(scans_before: u64) { round_trip(&TaskDone { scans_before })?; }
+
+    #[test]
     fn scip_bytes_come_back(stamp_ns in 0..4_000_000_000_000_000_i64, monotonic_ns: u64, stream_offset: u64,
                             direction: u8, data: Vec<u8>) {
         round_trip(&ScipBytes { stamp_ns, monotonic_ns, stream_offset, direction, data: data.into() })?;
@@ -171,5 +174,6 @@ proptest! {
         let _ = DiagnosticArray::decode(&bytes);
         let _ = ScipBytes::decode(&bytes);
         let _ = PoseReceived::decode(&bytes);
+        let _ = TaskDone::decode(&bytes);
     }
 }

@@ -33,6 +33,8 @@ pub trait Sink {
     fn on_pose(&mut self, pose: StampedPose);
     /// A scan, in order of time.
     fn on_scan(&mut self, scan: Scan);
+    /// The mapper of the run took back a task that was done; see [`closing`](crate::closing).
+    fn on_task_done(&mut self) {}
     /// Bytes of all files read so far.
     fn on_progress(&mut self, bytes: u64);
 }
@@ -179,6 +181,11 @@ pub trait Source {
     /// The map that the recorded run went on in, as bytes of [`saved`](crate::saved).
     fn begun_with(&self) -> Option<&[u8]> {
         None
+    }
+
+    /// Whether it tells when the mapper of the run took back tasks.
+    fn tells_of_tasks(&self) -> bool {
+        false
     }
 
     /// What the poses are that it gives; `None`: what the settings of its mapper say.

@@ -1,5 +1,5 @@
 //! A recording of this program: the bytes of the port through the decoder of the live run, at the times recorded, and
-//! the poses in the order in which the mapper took them. So the mapper is called as it was called then.
+//! the poses and the tasks that were done in the order in which the mapper took them. So the mapper is called as it was called then.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -162,6 +162,11 @@ impl Source for Recording {
         self.beginning.begun_with.as_deref()
     }
 
+    fn tells_of_tasks(&self) -> bool {
+        // Of poses that are others than those of the run other tasks come.
+        self.other_poses.is_none() && self.info.info.closes_loops
+    }
+
     fn pose_use(&self) -> Option<PoseUse> {
         self.pose_use
     }
@@ -183,7 +188,7 @@ impl Source for Recording {
         let mut order = Order {
             scans: VecDeque::with_capacity(BEHIND + 1),
             number: self.info.scans_before,
-            recorded_poses: VecDeque::new(),
+            recorded: VecDeque::new(),
             other_poses: self.other_poses.as_mut(),
         };
         visit_all(&self.files, report, &mut |entry, offset, report| {
@@ -202,8 +207,14 @@ impl Source for Recording {
                 }
                 Entry::Message { channel, data, .. } if channel.topic == topic::POSE_RECEIVED => {
                     match cdr::PoseReceived::decode(data) {
-                        Ok(pose) => order.take_pose(&pose),
+                        Ok(pose) => order.take(pose.scans_before, Call::Pose(stamped_pose(&pose))),
                         Err(_) => report.error("pose_received"),
+                    }
+                }
+                Entry::Message { channel, data, .. } if channel.topic == topic::TASK_DONE => {
+                    match cdr::TaskDone::decode(data) {
+                        Ok(done) => order.take(done.scans_before, Call::TaskDone),
+                        Err(_) => report.error("task_done"),
                     }
                 }
                 // Where a file before is damaged, its scans are missing.
@@ -220,14 +231,20 @@ impl Source for Recording {
     }
 }
 
-/// Brings scans and poses into the order in which the mapper took them.
+/// What the mapper was told between scans.
+enum Call {
+    Pose(StampedPose),
+    TaskDone,
+}
+
+/// Brings scans and all else into the order in which the mapper took them.
 struct Order<'a> {
     /// Not given yet, each with its number among the scans that the mapper took.
     scans: VecDeque<(u64, Scan)>,
     /// That of the next.
     number: u64,
-    /// Poses not given yet with the number of scans that the mapper had taken before each.
-    recorded_poses: VecDeque<(u64, StampedPose)>,
+    /// What else was not given yet, with the number of scans that the mapper had taken before each.
+    recorded: VecDeque<(u64, Call)>,
     other_poses: Option<&'a mut Poses>,
 }
 
@@ -237,36 +254,41 @@ impl Order<'_> {
         self.number += 1;
     }
 
-    fn take_pose(&mut self, pose: &cdr::PoseReceived) {
-        // Poses with the same count stay in the order in which they were taken and written.
-        let place = self.recorded_poses.partition_point(|(before, _)| *before <= pose.scans_before);
-        self.recorded_poses.insert(place, (pose.scans_before, stamped_pose(pose)));
+    fn take(&mut self, scans_before: u64, call: Call) {
+        // What has the same count stays in the order in which it was taken and written.
+        let place = self.recorded.partition_point(|(before, _)| *before <= scans_before);
+        self.recorded.insert(place, (scans_before, call));
     }
 
     fn give_scan(&mut self, sink: &mut dyn Sink, report: &mut InputReport) -> bool {
         let Some((number, scan)) = self.scans.pop_front() else { return false };
         match &mut self.other_poses {
             Some(poses) => poses.give_for(&scan, sink, report),
-            None => self.give_poses_before(number, sink, report),
+            None => self.give_calls_before(number, sink, report),
         }
         report.scans += 1;
         sink.on_scan(scan);
         true
     }
 
-    fn give_poses_before(&mut self, number: u64, sink: &mut dyn Sink, report: &mut InputReport) {
-        while self.recorded_poses.front().is_some_and(|(before, _)| *before <= number)
-            && let Some((_, pose)) = self.recorded_poses.pop_front()
+    fn give_calls_before(&mut self, number: u64, sink: &mut dyn Sink, report: &mut InputReport) {
+        while self.recorded.front().is_some_and(|(before, _)| *before <= number)
+            && let Some((_, call)) = self.recorded.pop_front()
         {
-            sink.on_pose(pose);
-            report.poses += 1;
+            match call {
+                Call::Pose(pose) => {
+                    sink.on_pose(pose);
+                    report.poses += 1;
+                }
+                Call::TaskDone => sink.on_task_done(),
+            }
         }
     }
 
     fn give_rest(&mut self, sink: &mut dyn Sink, report: &mut InputReport) {
         while self.give_scan(sink, report) {}
         if self.other_poses.is_none() {
-            self.give_poses_before(u64::MAX, sink, report);
+            self.give_calls_before(u64::MAX, sink, report);
         }
     }
 }

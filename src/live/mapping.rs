@@ -1,16 +1,19 @@
 //! The mapper thread: takes scans and poses in the order in which they arrived, and tells the others what came of
-//! them. The grid's state depends on that order alone, which is what the recording keeps.
+//! them. The grid's state depends on that order alone, which is what the recording keeps. What it has to do about loops takes
+//! long, and is done by a thread of its own.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, RecvTimeoutError};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender as PlainSender};
 use hdrhistogram::Histogram;
+use log::{info, warn};
 
 use super::clock;
 use super::queues::Sender;
 use super::shared::{Shared, lock};
+use crate::closing::{Done, Task, moved::Moved};
 use crate::map::Map;
 use crate::mapper::{Mapper, MapperReport, Outcome, ScanTime, times};
 use crate::pose::{Pose, StampedPose};
@@ -22,6 +25,8 @@ use crate::scan::Scan;
 const PATIENCE: Duration = Duration::from_millis(500);
 /// How often the others learn what was done.
 const REPORT_PERIOD: Duration = Duration::from_secs(1);
+/// How long the end waits for loops to be closed: some searches of a drive of 300 m. A service is given a minute in all.
+const PATIENCE_WITH_LOOPS: Duration = Duration::from_secs(15);
 /// How long the last map may wait for the others to make room.
 const PATIENCE_AT_END: Duration = Duration::from_secs(20);
 
@@ -44,10 +49,30 @@ pub enum FromMapper {
         /// base_link then.
         pose: Pose,
     },
+    /// A loop was closed: what was inserted until now lies elsewhere.
+    Moved(Arc<Moved>),
     /// The map as it stands.
     Map(Arc<Map>, Box<MapperReport>),
     /// All that the grid knows, to be kept for the next run.
     Saved(Box<SavedMap>),
+}
+
+/// The way to the thread that does the tasks of the mapper and back, one at a time.
+pub struct Tasks {
+    /// To it.
+    pub to_do: PlainSender<Task>,
+    /// From it.
+    pub done: Receiver<Done>,
+    /// Whether one is there.
+    pub is_away: bool,
+}
+
+/// Does tasks until no more come.
+pub fn do_tasks(to_do: &Receiver<Task>, done: &PlainSender<Done>) {
+    for task in to_do {
+        // At the end nobody may be waiting for it any more.
+        let _ = done.send(task.run());
+    }
 }
 
 /// See the module.
@@ -58,6 +83,8 @@ pub struct Mapping {
     pub main: Sender<FromMapper>,
     /// Where all goes that is recorded.
     pub recorder: Option<Sender<Record>>,
+    /// Who does what takes long; `None` where loops are not closed.
+    pub tasks: Option<Tasks>,
     /// Time between two maps.
     pub map_every: Duration,
     /// Time between two savings; `None` where the map is not kept.
@@ -76,7 +103,10 @@ impl Mapping {
         let mut last_saved = Instant::now();
         let mut saved_scans = 0;
         loop {
-            match inbox.recv_timeout(PATIENCE) {
+            let came = inbox.recv_timeout(PATIENCE);
+            self.take_back(scans_taken, Duration::ZERO);
+            self.tell_outcomes(&mut delays);
+            match came {
                 Ok(ToMapper::Scan(scan)) => {
                     if let Some(recorder) = &self.recorder {
                         recorder.offer(Record::Scan(Arc::new(scan.clone())));
@@ -94,6 +124,7 @@ impl Mapping {
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
+            self.give_task();
             self.tell_outcomes(&mut delays);
             if last_report.elapsed() >= REPORT_PERIOD {
                 *lock(&self.shared.mapper) = Some(self.report(&delays));
@@ -109,6 +140,7 @@ impl Mapping {
             }
             self.shared.mapper_steps.count();
         }
+        self.do_last_tasks(scans_taken);
         self.mapper.finish();
         self.tell_outcomes(&mut delays);
         if self.save_every.is_some() {
@@ -121,13 +153,71 @@ impl Mapping {
         MapperReport { latency_us: Some(ScanTime::of(&delays.ns)), ..self.mapper.report() }
     }
 
+    /// Gives what is to be done about loops to the thread that does it, where that has nothing to do.
+    fn give_task(&mut self) {
+        if let Some(tasks) = &mut self.tasks
+            && !tasks.is_away
+            && let Some(task) = self.mapper.next_task()
+        {
+            tasks.is_away = tasks.to_do.send(task).is_ok();
+        }
+    }
+
+    /// Takes a task back if it is done within a time, and gives the next one away.
+    fn take_back(&mut self, scans_taken: u32, patience: Duration) {
+        let Some(tasks) = self.tasks.as_mut().filter(|tasks| tasks.is_away) else { return };
+        let done = match tasks.done.recv_timeout(patience) {
+            Ok(done) => done,
+            Err(RecvTimeoutError::Timeout) => return,
+            // Main has heard of its end as well.
+            Err(RecvTimeoutError::Disconnected) => return self.tasks = None,
+        };
+        tasks.is_away = false;
+        if let Some(recorder) = &self.recorder {
+            recorder.offer(Record::TaskDone { scans_before: scans_taken });
+        }
+        self.mapper.take_back(done);
+        self.give_task();
+    }
+
+    /// Closes what loops there are, as far as that is done in time.
+    fn do_last_tasks(&mut self, scans_taken: u32) {
+        let deadline = Instant::now() + PATIENCE_WITH_LOOPS;
+        loop {
+            let Some(tasks) = &mut self.tasks else { return };
+            if !tasks.is_away {
+                let Some(task) = self.mapper.last_task() else { return };
+                tasks.is_away = tasks.to_do.send(task).is_ok();
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                warn!(
+                    "loops of the last metres are not closed, for want of time; a replay with --optimize does it"
+                );
+                return;
+            }
+            self.take_back(scans_taken, left);
+            self.shared.mapper_steps.count();
+        }
+    }
+
     fn tell_outcomes(&mut self, delays: &mut Delays) {
         while let Some(outcome) = self.mapper.next_outcome() {
             delays.note(&outcome);
-            let Outcome::Inserted { stamp_ns, start, .. } = outcome else { continue };
-            self.main.offer(FromMapper::Inserted { stamp_ns, pose: start });
-            if let Some(recorder) = &self.recorder {
-                recorder.offer(Record::PoseUsed { stamp_ns, pose: start });
+            match outcome {
+                Outcome::Inserted { stamp_ns, start: pose, .. } => {
+                    self.main.offer(FromMapper::Inserted { stamp_ns, pose });
+                    if let Some(recorder) = &self.recorder {
+                        recorder.offer(Record::PoseUsed { stamp_ns, pose });
+                    }
+                }
+                Outcome::Moved(moved) => {
+                    self.main.offer(FromMapper::Moved(moved));
+                    if let Some(closed) = self.mapper.report().loops.and_then(|loops| loops.last) {
+                        info!("{closed}");
+                    }
+                }
+                Outcome::Skipped { .. } => {}
             }
         }
     }
@@ -170,11 +260,77 @@ impl Delays {
     /// Takes the time of a scan that is in the map by now. Every scan has one outcome, in the order of their numbers but for those
     /// that are out of order.
     fn note(&mut self, outcome: &Outcome) {
-        let (Outcome::Inserted { seq, .. } | Outcome::Skipped { seq, .. }) = *outcome;
+        let Some(seq) = outcome.seq() else { return };
         let Some(place) = self.waiting.iter().position(|waiting| waiting.0 == seq) else { return };
         let Some((_, received_ns)) = self.waiting.remove(place) else { return };
         if let Outcome::Inserted { .. } = outcome {
             self.ns.saturating_record(u64::try_from(clock::monotonic_ns() - received_ns).unwrap_or(0));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::closing::tests::{settings, taken};
+    use crate::live::queues::{TO_MAIN, TO_RECORDER, queue};
+    use crate::localize::tests::ring;
+    use crossbeam_channel::{bounded, unbounded};
+
+    /// Scans and poses all at once, the tasks beside: whenever these were done, it can be told from what was recorded.
+    #[test]
+    fn loops_are_closed_beside_and_again_in_the_same_places() {
+        let (to_mapper, inbox) = unbounded();
+        let walls = ring();
+        for seq in 0..800 {
+            let (odometry, scan) = taken(&walls, seq);
+            odometry.into_iter().for_each(|pose| to_mapper.send(ToMapper::Pose(pose)).unwrap());
+            to_mapper.send(ToMapper::Scan(scan)).unwrap();
+        }
+        drop(to_mapper);
+        let (main, news, _) = queue(&TO_MAIN);
+        let (recorder, records, _) = queue(&TO_RECORDER);
+        let ((to_do, todo), (done_to, done)) = (bounded(1), bounded(1));
+        let worker = std::thread::spawn(move || do_tasks(&todo, &done_to));
+        let mapping = Mapping {
+            mapper: Mapper::new(settings(true)),
+            main,
+            recorder: Some(recorder),
+            tasks: Some(Tasks { to_do, done, is_away: false }),
+            map_every: Duration::MAX,
+            save_every: None,
+            shared: Arc::default(),
+        };
+        mapping.run(&inbox);
+        worker.join().unwrap();
+
+        let mut again = Mapper::new(settings(true));
+        let mut task = None;
+        for record in records.try_iter() {
+            match record {
+                Record::PoseReceived { pose, .. } => again.on_pose(pose),
+                Record::Scan(scan) => again.on_scan(Scan::clone(&scan)),
+                Record::TaskDone { .. } => {
+                    let task = task.take().or_else(|| again.last_task()).expect("it was given away");
+                    again.take_back(Task::run(task));
+                }
+                _ => continue,
+            }
+            task = task.or_else(|| again.next_task());
+        }
+        again.finish();
+        let mut closed = 0;
+        let mut last = None;
+        for news in news.try_iter() {
+            match news {
+                FromMapper::Moved(_) => closed += 1,
+                FromMapper::Map(map, report) => last = Some((map, report.loops)),
+                FromMapper::Inserted { .. } | FromMapper::Saved(_) => {}
+            }
+        }
+        let (map, loops) = last.unwrap();
+        assert!(closed > 0, "{loops:?}");
+        assert_eq!(again.report().loops, loops);
+        assert!(again.map() == *map, "the maps differ");
     }
 }

@@ -6,6 +6,8 @@
 //! | driver, mapper, main | recorder | [`TO_RECORDER`] |
 //! | mapper | main | [`TO_MAIN`] |
 //!
+//! Between the mapper and the thread that does its tasks about loops there is one task at most, and it is waited for by neither.
+//!
 //! A sender never waits while the run lasts ([`Sender::offer`]): the scanner's bytes do not wait either. Only what is
 //! due at the very end, when no more bytes come, is waited for ([`Sender::hand_over`]).
 
@@ -45,8 +47,8 @@ pub const TO_RECORDER: Policy = Policy {
 pub const TO_MAIN: Policy = Policy {
     name: "to_main",
     capacity: 2_400,
-    when_full: "the newest is refused and counted; a pose is then missing in trajectory.tum, or the map's files are \
-                written at the next time",
+    when_full: "the newest is refused and counted; a pose is then missing in trajectory.tum, or those before a loop \
+                was closed stay where they were, or the map's files are written at the next time",
 };
 
 #[derive(Debug, Default)]

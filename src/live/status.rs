@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use log::info;
 
 use super::shared::{Shared, lock};
+use crate::closing::ClosingReport;
 use crate::logging::Progress;
 use crate::map::Map;
 use crate::mapper::MapperReport;
@@ -114,8 +115,9 @@ fn describe(shared: &Shared) -> String {
         let place = report.localization.as_ref().map_or("", |found| found.in_words());
         let loaded = report.scans_loaded;
         let earlier = if loaded > 0 { format!(" + {loaded} of earlier runs") } else { String::new() };
+        let loops = report.loops.as_ref().map_or_else(String::new, ClosingReport::in_words);
         format!(
-            ", {}{earlier} in the map of {:.1} MB{place}",
+            ", {}{earlier} in the map of {:.1} MB{place}{loops}",
             report.scans_inserted,
             report.map_bytes as f64 / 1e6
         )

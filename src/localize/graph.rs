@@ -1,16 +1,20 @@
 //! A small pose graph in the plane: places along a drive, what is known of each relative to another, and the places that suit
 //! all of that best.
 //!
-//! Not a search for what belongs together, which is in [`loops`](super::loops). Dense: a node stands for some metres of
-//! driving, so that a kilometre is two hundred of them. Source: Grisetti et al. 2010, "A tutorial on graph-based SLAM".
+//! Not a search for what belongs together, which is in [`loops`](super::loops). A node stands for some metres of driving: a
+//! kilometre is three hundred of them, which know of each other along the way and where it comes back. Sources: Grisetti et al.
+//! 2010, "A tutorial on graph-based SLAM"; Dellaert et al. 2010, "Subgraph-preconditioned conjugate gradients for large scale
+//! SLAM".
 
 use crate::pose::{Pose, pose};
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 /// Iterations at most; ten are enough from a loop that is open by half its size.
 const MOST_STEPS: usize = 30;
 /// A step shorter than this ends them (m, rad).
 const DONE: f64 = 1e-6;
+/// Part of the squared error at which the equations of a step are solved.
+const EXACT: f64 = 1e-16;
 
 /// What is known of one node relative to another.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,40 +43,149 @@ impl Edge {
     }
 }
 
-/// Moves the nodes to where they suit the edges best; the first stays where it is. `None` where the edges do not tie all of
-/// them together.
+/// Moves the nodes to where they suit the edges best; the first stays where it is. `None` where those from each node to the next
+/// do not tie all of them together.
 pub fn solve(nodes: &[Pose], edges: &[Edge]) -> Option<Vec<Pose>> {
     let mut nodes = nodes.to_vec();
-    let size = 3 * nodes.len();
     for _ in 0..MOST_STEPS {
-        let mut information = DMatrix::<f64>::zeros(size, size);
-        let mut gradient = DVector::<f64>::zeros(size);
-        for i in 0..3 {
-            information[(i, i)] = 1e12;
-        }
+        let mut normal = Normal::of(nodes.len());
+        let mut gradient = vec![Vector3::zeros(); nodes.len()];
         for edge in edges {
             let error = edge.error(&nodes);
             let [a, b] = slopes(edge, &nodes);
-            for (node, slope) in [(edge.from, a), (edge.to, b)] {
-                let weighted = slope.transpose() * edge.information;
-                let mut part = gradient.fixed_rows_mut::<3>(3 * node);
-                part += weighted * error;
-                for (other, slope) in [(edge.from, a), (edge.to, b)] {
-                    let mut part = information.fixed_view_mut::<3, 3>(3 * node, 3 * other);
-                    part += weighted * slope;
-                }
-            }
+            let weighted = [a, b].map(|slope| slope.transpose() * edge.information);
+            gradient[edge.from] -= weighted[0] * error;
+            gradient[edge.to] -= weighted[1] * error;
+            normal.diagonal[edge.from] += weighted[0] * a;
+            normal.diagonal[edge.to] += weighted[1] * b;
+            normal.add_beside(edge.from, edge.to, weighted[0] * b);
         }
-        let step = -information.cholesky()?.solve(&gradient);
-        for (node, by) in nodes.iter_mut().zip(step.as_slice().chunks_exact(3)).skip(1) {
+        let steps = normal.solve(&gradient)?;
+        for (node, by) in nodes.iter_mut().zip(&steps).skip(1) {
             let at = node.translation;
-            *node = pose(at.x + by[0], at.y + by[1], node.rotation.angle() + by[2]);
+            *node = pose(at.x + by.x, at.y + by.y, node.rotation.angle() + by.z);
         }
-        if step.amax() < DONE {
+        if steps.iter().all(|step| step.amax() < DONE) {
             break;
         }
     }
     nodes.iter().all(|node| node.translation.vector.norm().is_finite()).then_some(nodes)
+}
+
+/// The normal equations, in blocks of a node's x, y and heading: symmetric, and most of them zero.
+struct Normal {
+    diagonal: Vec<Matrix3<f64>>,
+    /// Of each node and the next.
+    next: Vec<Matrix3<f64>>,
+    /// All others above the diagonal, by row and column.
+    others: Vec<(usize, usize, Matrix3<f64>)>,
+}
+
+impl Normal {
+    /// The first node is held where it is.
+    fn of(nodes: usize) -> Normal {
+        let mut diagonal = vec![Matrix3::zeros(); nodes];
+        if let Some(first) = diagonal.first_mut() {
+            *first = Matrix3::identity() * 1e12;
+        }
+        Normal { diagonal, next: vec![Matrix3::zeros(); nodes.saturating_sub(1)], others: Vec::new() }
+    }
+
+    fn add_beside(&mut self, row: usize, column: usize, block: Matrix3<f64>) {
+        let (row, column, block) =
+            if row < column { (row, column, block) } else { (column, row, block.transpose()) };
+        if column == row + 1 {
+            self.next[row] += block;
+        } else {
+            self.others.push((row, column, block));
+        }
+    }
+
+    /// Solves by conjugate gradients; what ties each node to the next, which is solved at once, leads the way.
+    fn solve(&self, right: &[Vector3<f64>]) -> Option<Vec<Vector3<f64>>> {
+        let chain = Chain::of(self)?;
+        let mut found = vec![Vector3::zeros(); right.len()];
+        let mut rest = right.to_vec();
+        let mut led = chain.solve(&rest);
+        let mut direction = led.clone();
+        let mut error = dot(&rest, &led);
+        let enough = error * EXACT;
+        // Without rounding, as many steps as there are unknowns would do.
+        for _ in 0..6 * right.len() {
+            if error <= enough {
+                break;
+            }
+            let across = self.times(&direction);
+            let length = error / dot(&direction, &across);
+            add(&mut found, length, &direction);
+            add(&mut rest, -length, &across);
+            led = chain.solve(&rest);
+            let before = std::mem::replace(&mut error, dot(&rest, &led));
+            for (direction, led) in direction.iter_mut().zip(&led) {
+                *direction = led + *direction * (error / before);
+            }
+        }
+        Some(found)
+    }
+
+    fn times(&self, vector: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+        let mut product: Vec<Vector3<f64>> =
+            self.diagonal.iter().zip(vector).map(|(block, part)| block * part).collect();
+        let next = self.next.iter().enumerate().map(|(row, block)| (row, row + 1, block));
+        for (row, column, block) in
+            next.chain(self.others.iter().map(|(row, column, block)| (*row, *column, block)))
+        {
+            product[row] += block * vector[column];
+            product[column] += block.tr_mul(&vector[row]);
+        }
+        product
+    }
+}
+
+/// The part of the normal equations that ties each node to the next, decomposed.
+struct Chain<'a> {
+    normal: &'a Normal,
+    /// Inverse of each node's block, once those before are eliminated.
+    inverse: Vec<Matrix3<f64>>,
+}
+
+impl Chain<'_> {
+    fn of(normal: &Normal) -> Option<Chain<'_>> {
+        let mut inverse: Vec<Matrix3<f64>> = Vec::with_capacity(normal.diagonal.len());
+        for (node, block) in normal.diagonal.iter().enumerate() {
+            let left = match inverse.last() {
+                Some(before) => block - normal.next[node - 1].tr_mul(&(before * normal.next[node - 1])),
+                None => *block,
+            };
+            inverse.push(left.cholesky()?.inverse());
+        }
+        Some(Chain { normal, inverse })
+    }
+
+    fn solve(&self, right: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+        let mut found = right.to_vec();
+        for node in 1..found.len() {
+            let before = self.inverse[node - 1] * found[node - 1];
+            found[node] -= self.normal.next[node - 1].tr_mul(&before);
+        }
+        for node in (0..found.len()).rev() {
+            if let Some(after) = found.get(node + 1).copied() {
+                found[node] -= self.normal.next[node] * after;
+            }
+            found[node] = self.inverse[node] * found[node];
+        }
+        found
+    }
+}
+
+fn dot(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
+}
+
+fn add(to: &mut [Vector3<f64>], times: f64, what: &[Vector3<f64>]) {
+    for (to, what) in to.iter_mut().zip(what) {
+        *to += what * times;
+    }
 }
 
 /// How an edge's error changes with its two nodes, each as x, y, heading in the common frame.

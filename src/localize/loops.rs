@@ -1,7 +1,7 @@
 //! Closes the loops of a drive that has been located: finds where it came back to a place, and bends it so that both visits
 //! fall together.
 //!
-//! For a drive as a whole, afterwards. It is cut into segments of some metres, each with a matching map and with its points
+//! For a drive as a whole, or as far as it has come. It is cut into segments of some metres, each with a matching map and with its points
 //! put together, which tell a place far better than one scan does. What one segment shows is sought in the maps of those that
 //! may be near; what several of them say of each other in agreement is believed ([pairwise consistency][pcm]), and a
 //! [pose graph](super::graph) spreads what was out over the way between. Where nothing is out by more than the walls
@@ -17,7 +17,10 @@ use super::search::{self, Headings};
 use super::submap::{Submap, index};
 use crate::pose::{Pose, interpolate};
 use nalgebra::{Matrix3, Vector3};
-use std::{collections::HashSet, fmt};
+use std::{
+    collections::{HashMap, HashSet},
+    fmt,
+};
 
 /// Way and turn between two scans that are put into a segment (m, rad).
 const KEY: [f64; 2] = [0.15, 0.15];
@@ -41,6 +44,11 @@ const KNOWN: [f64; 2] = [0.3, 0.5];
 const ONLY: f64 = 0.85;
 /// How far a refinement may lead (m, rad): beyond, it is another place that it found.
 const REFINED: [f64; 2] = [0.5, 0.15];
+/// What was tried from a pose that differs by less need not be tried again (m, rad): a refinement leads to the same place, and a
+/// search looks at the same headings.
+const SAME_NEAR: [f64; 2] = [0.05, 0.01];
+/// See [`SAME_NEAR`].
+const SAME_FAR: [f64; 2] = [1.0, 0.05];
 /// Searches of a whole map for one segment at most, and for all of a drive.
 const SEARCHES: [usize; 2] = [4, 600];
 /// Deviations of a closure beside those of the match (m, rad): segments bend.
@@ -83,12 +91,88 @@ struct Segment {
     taken: HashSet<(i32, i32)>,
 }
 
+/// Counts the way of a drive, and tells which of its scans are enough to know it by.
+#[derive(Debug, Default)]
+pub struct Odometer {
+    /// The last of these scans, and the way until there (m).
+    last: Option<(Pose, f64)>,
+}
+
+impl Odometer {
+    /// The way driven until the scanner was here (m), and whether this is one of these scans.
+    pub fn advance(&mut self, pose: &Pose) -> (f64, bool) {
+        let (way, is_key) = match &self.last {
+            None => (0.0, true),
+            Some((last, way)) => {
+                let off = difference(pose, last);
+                let moved = off.xy().norm();
+                (way + moved, moved >= KEY[0] || off.z.abs() >= KEY[1])
+            }
+        };
+        if is_key {
+            self.last = Some((*pose, way));
+        }
+        (way, is_key)
+    }
+}
+
 /// A drive, as it was located.
 #[derive(Debug, Default)]
 pub struct Drive {
     segments: Vec<Segment>,
-    /// The last scan that was put in, and the way until there (m).
-    last: Option<(Pose, f64)>,
+    odometer: Odometer,
+    /// Way until the last of its scans (m).
+    end: f64,
+    known: Known,
+}
+
+/// Numbers of two segments: of the one whose map it is, and of the one whose points are laid onto it.
+type Pair = (usize, usize);
+
+/// What was found when segments were laid onto each other's maps: near where they were expected, and anywhere. Each search
+/// would else begin with all that the one before has done.
+#[derive(Debug, Default)]
+struct Known {
+    near: HashMap<Pair, Tried<Match>>,
+    far: HashMap<Pair, Tried<Option<Match>>>,
+    /// Segments that were complete then; the others have grown since.
+    complete: usize,
+}
+
+impl Known {
+    fn forget_incomplete(&mut self) {
+        self.near.retain(|(_, to), _| *to < self.complete);
+        self.far.retain(|(_, to), _| *to < self.complete);
+    }
+}
+
+/// What was found from an expected pose.
+#[derive(Clone, Copy, Debug)]
+struct Tried<T> {
+    expected: Pose,
+    found: T,
+}
+
+impl<T: Copy> Tried<T> {
+    /// What is known of a pair, or else what is found, where the pose that is expected is another by so much (m, rad).
+    fn or_try(
+        known: &mut HashMap<Pair, Tried<T>>,
+        pair: Pair,
+        expected: Pose,
+        [place, turn]: [f64; 2],
+        find: impl FnOnce() -> T,
+    ) -> T {
+        let is_as_before = |tried: &&Tried<T>| {
+            let off = difference(&tried.expected, &expected);
+            off.xy().norm() <= place && off.z.abs() <= turn
+        };
+        if let Some(tried) = known.get(&pair).filter(is_as_before) {
+            return tried.found;
+        }
+        let found = find();
+        known.insert(pair, Tried { expected, found });
+        found
+    }
 }
 
 /// Two segments that show the same.
@@ -150,19 +234,21 @@ impl fmt::Display for Loops {
 impl Drive {
     /// Takes in a scan that was located: the scanner in its middle, and its points. Returns the way driven until there (m).
     pub fn add(&mut self, pose: &Pose, points: impl FnOnce() -> Points) -> f64 {
-        let (way, is_key) = match &self.last {
-            None => (0.0, true),
-            Some((last, way)) => {
-                let off = difference(pose, last);
-                let moved = off.xy().norm();
-                (way + moved, moved >= KEY[0] || off.z.abs() >= KEY[1])
-            }
-        };
-        if !is_key {
-            return way;
+        let (way, is_key) = self.odometer.advance(pose);
+        if is_key {
+            self.add_key(way, pose, &points());
         }
-        self.last = Some((*pose, way));
+        way
+    }
+
+    /// Takes in a scan that an [`Odometer`] of its own has told to be enough, after so much way (m).
+    pub fn add_key(&mut self, way: f64, pose: &Pose, points: &Points) {
+        self.end = way;
         if self.segments.last().is_none_or(|last| way >= last.way + STEP) {
+            for complete in self.segments.iter_mut().filter(|segment| way >= segment.way + LENGTH) {
+                complete.taken = HashSet::new();
+                complete.points.shrink_to_fit();
+            }
             self.segments.push(Segment {
                 pose: *pose,
                 way,
@@ -171,22 +257,39 @@ impl Drive {
                 taken: HashSet::new(),
             });
         }
-        let points = points();
         for segment in self.segments.iter_mut().rev().take_while(|segment| way < segment.way + LENGTH) {
-            segment.add(pose, &points);
+            segment.add(pose, points);
         }
-        way
     }
 
-    /// Seeks loops, and how to close them.
-    pub fn close(&self) -> Loops {
+    /// Memory that it holds (bytes).
+    pub fn bytes(&self) -> usize {
+        self.segments.iter().map(Segment::bytes).sum()
+    }
+
+    /// Seeks loops, and how to close them where the drive has been bent like `bent` already.
+    pub fn close(&mut self, bent: Option<&Correction>) -> Loops {
+        let mut known = std::mem::take(&mut self.known);
+        known.forget_incomplete();
+        let loops = self.close_knowing(&mut known, bent);
+        known.complete = self.segments.partition_point(|segment| segment.way + LENGTH <= self.end);
+        self.known = known;
+        loops
+    }
+
+    fn close_knowing(&self, known: &mut Known, bent: Option<&Correction>) -> Loops {
         let before: Vec<Pose> = self.segments.iter().map(|segment| segment.pose).collect();
+        let now: Vec<Pose> = self
+            .segments
+            .iter()
+            .map(|segment| bent.map_or(segment.pose, |bent| bent.correct(segment.way, &segment.pose)))
+            .collect();
         let way: Vec<Edge> = (1..before.len()).map(|to| self.way_edge(to)).collect();
-        let mut nodes = before.clone();
+        let mut nodes = now.clone();
         let mut agreed: Vec<Closure> = Vec::new();
         for round in 0..ROUNDS {
-            let found = self.seek(&nodes, round == 0);
-            let Some((bent, kept)) = self.believe(&before, &way, found) else { break };
+            let found = self.seek(known, &nodes, round == 0);
+            let Some((bent, kept)) = self.believe(known, &before, &way, found) else { break };
             // Whoever finds fewer from a better start was wrong.
             if kept.len() < agreed.len() {
                 break;
@@ -196,7 +299,7 @@ impl Drive {
         if agreed.is_empty() {
             return Loops::None;
         }
-        let (out, left) = (worst(&agreed, &before), worst(&agreed, &nodes));
+        let (out, left) = (worst(&agreed, &now), worst(&agreed, &nodes));
         let closures = agreed.len();
         if out[0] <= GOOD[0] && out[1] <= GOOD[1] {
             return Loops::Good { closures, out };
@@ -221,7 +324,7 @@ impl Drive {
 
     /// Segments that show what others show, where the nodes are about right; `far`: where they may be out by as much as such a
     /// way allows.
-    fn seek(&self, nodes: &[Pose], far: bool) -> Vec<Closure> {
+    fn seek(&self, known: &mut Known, nodes: &[Pose], far: bool) -> Vec<Closure> {
         let mut closures = Vec::new();
         let mut searches = 0;
         for (to, segment) in self.segments.iter().enumerate() {
@@ -234,7 +337,8 @@ impl Drive {
                 .iter()
                 .take_while(|&&from| apart(from) <= NEAR)
                 .filter_map(|&from| {
-                    Some((from, segment.fits_near(&self.segments[from].map, &expected(from))?))
+                    let there = self.refined(known, (from, to), expected(from));
+                    (is_near(&there, &expected(from)) && fits(&there, KNOWN[0])).then_some((from, there))
                 })
                 .collect();
             // Whoever is at home already need not be sought far away.
@@ -246,7 +350,9 @@ impl Drive {
                 let may_be = others.iter().filter(|&&from| apart(from) <= allowed(from)[0]);
                 for &from in may_be.take(SEARCHES[0].min(SEARCHES[1] - searches)) {
                     searches += 1;
-                    let there = segment.fits_far(&self.segments[from].map, &expected(from), allowed(from));
+                    let there = Tried::or_try(&mut known.far, (from, to), expected(from), SAME_FAR, || {
+                        segment.fits_far(&self.segments[from].map, &expected(from), allowed(from))
+                    });
                     found.extend(there.map(|there| (from, there)));
                 }
             }
@@ -257,9 +363,18 @@ impl Drive {
         closures
     }
 
+    /// Where a segment lies best in the map of another one, near where it is expected.
+    fn refined(&self, known: &mut Known, (from, to): Pair, expected: Pose) -> Match {
+        let (map, points) = (&self.segments[from].map, &self.segments[to].points);
+        Tried::or_try(&mut known.near, (from, to), expected, SAME_NEAR, || {
+            refine(map, points, &free(expected))
+        })
+    }
+
     /// The nodes bent to the closures that can be believed, and these.
     fn believe(
         &self,
+        known: &mut Known,
         before: &[Pose],
         way: &[Edge],
         mut found: Vec<Closure>,
@@ -273,7 +388,7 @@ impl Drive {
             let others = found.iter().copied().filter(|closure| !is_in_set(closure)).collect();
             if let Some((nodes, kept)) = bend(before, way, set) {
                 let bent: f64 = way.iter().map(|edge| edge.squared_deviations(&nodes)).sum();
-                if kept.len() >= WITNESSES && bent <= MOST_BENT && !self.is_contradicted(&nodes) {
+                if kept.len() >= WITNESSES && bent <= MOST_BENT && !self.is_contradicted(known, &nodes) {
                     return Some((nodes, kept));
                 }
             }
@@ -283,7 +398,7 @@ impl Drive {
     }
 
     /// Whether much of what lies together then does not look alike.
-    fn is_contradicted(&self, nodes: &[Pose]) -> bool {
+    fn is_contradicted(&self, known: &mut Known, nodes: &[Pose]) -> bool {
         let (mut looks, mut against) = (0, 0);
         for (to, segment) in self.segments.iter().enumerate() {
             for (from, other) in self.segments[..to].iter().enumerate() {
@@ -292,12 +407,10 @@ impl Drive {
                     continue;
                 }
                 let expected = other.pose * nodes[from].inverse() * nodes[to];
-                let found = refine(&other.map, &segment.points, &free(expected));
-                let off = difference(&found.pose, &expected);
-                let is_near = off.xy().norm() <= REFINED[0] && off.z.abs() <= REFINED[1];
+                let found = self.refined(known, (from, to), expected);
                 if found.known >= KNOWN[1] {
                     looks += 1;
-                    against += usize::from(found.explained < CONTRADICTS || !is_near);
+                    against += usize::from(found.explained < CONTRADICTS || !is_near(&found, &expected));
                 }
             }
         }
@@ -306,20 +419,22 @@ impl Drive {
 
     /// The most closures that all agree with each other.
     fn agreeing(&self, closures: &[Closure]) -> Vec<Closure> {
-        let agree: Vec<Vec<bool>> =
+        let agree: Vec<Bits> =
             closures.iter().map(|a| closures.iter().map(|b| self.agrees(a, b)).collect()).collect();
-        let friends = |a: usize| agree[a].iter().filter(|yes| **yes).count();
+        let friends: Vec<usize> = agree.iter().map(Bits::count).collect();
         let mut order: Vec<usize> = (0..closures.len()).collect();
-        order.sort_by_key(|&a| std::cmp::Reverse(friends(a)));
+        order.sort_by_key(|&a| std::cmp::Reverse(friends[a]));
         let mut best: Vec<usize> = Vec::new();
         for &seed in &order {
-            if friends(seed) <= best.len() {
+            if friends[seed] <= best.len() {
                 break;
             }
             let mut set = vec![seed];
+            let mut agreed = agree[seed].clone();
             for &next in &order {
-                if next != seed && set.iter().all(|&member| agree[member][next]) {
+                if next != seed && agreed.has(next) {
                     set.push(next);
+                    agreed.keep(&agree[next]);
                 }
             }
             if set.len() > best.len() {
@@ -345,7 +460,44 @@ impl Drive {
     }
 }
 
+/// A bit for each closure: of long drives there are thousands, and each is held against all others.
+#[derive(Clone, Debug)]
+struct Bits(Vec<u64>);
+
+impl FromIterator<bool> for Bits {
+    fn from_iter<T: IntoIterator<Item = bool>>(bits: T) -> Bits {
+        let mut words = Vec::new();
+        for (number, bit) in bits.into_iter().enumerate() {
+            if number % 64 == 0 {
+                words.push(0);
+            }
+            words[number / 64] |= u64::from(bit) << (number % 64);
+        }
+        Bits(words)
+    }
+}
+
+impl Bits {
+    fn has(&self, number: usize) -> bool {
+        self.0[number / 64] >> (number % 64) & 1 == 1
+    }
+
+    fn count(&self) -> usize {
+        self.0.iter().map(|word| word.count_ones() as usize).sum()
+    }
+
+    /// Keeps those that are in both.
+    fn keep(&mut self, others: &Bits) {
+        self.0.iter_mut().zip(&others.0).for_each(|(word, other)| *word &= other);
+    }
+}
+
 impl Segment {
+    fn bytes(&self) -> usize {
+        let points = self.points.capacity() * size_of::<ScanPoint>();
+        self.map.bytes() + points + self.taken.capacity() * size_of::<(i32, i32)>()
+    }
+
     fn add(&mut self, pose: &Pose, points: &Points) {
         self.map.insert(points, pose);
         let by = self.pose.inverse() * pose;
@@ -356,14 +508,6 @@ impl Segment {
                 self.points.push(ScanPoint { at, normal, ..*point });
             }
         }
-    }
-
-    /// Its place in another segment's map, near where it is expected.
-    fn fits_near(&self, map: &Submap, expected: &Pose) -> Option<Match> {
-        let found = refine(map, &self.points, &free(*expected));
-        let off = difference(&found.pose, expected);
-        let is_near = off.xy().norm() <= REFINED[0] && off.z.abs() <= REFINED[1];
-        (is_near && fits(&found, KNOWN[0])).then_some(found)
     }
 
     /// Its place in another segment's map within a distance and a turn (m, rad) of the expected one, if there is exactly one.
@@ -393,6 +537,12 @@ impl Closure {
     }
 }
 
+/// Whether a refinement has led to the place that was meant.
+fn is_near(found: &Match, expected: &Pose) -> bool {
+    let off = difference(&found.pose, expected);
+    off.xy().norm() <= REFINED[0] && off.z.abs() <= REFINED[1]
+}
+
 fn fits(found: &Match, known: f64) -> bool {
     found.explained >= EXPLAINED && found.known >= known
 }
@@ -414,10 +564,11 @@ fn closure(from: usize, to: usize, pose: &Pose, found: &Match) -> Closure {
 /// Bends the way so that it suits the closures, without those that then still contradict it; `None` where that are too many.
 fn bend(before: &[Pose], way: &[Edge], mut closures: Vec<Closure>) -> Option<(Vec<Pose>, Vec<Closure>)> {
     let most_dropped = closures.len() / 3;
+    let mut nodes = before.to_vec();
     for _ in 0..=most_dropped {
         let edges: Vec<Edge> =
             way.iter().copied().chain(closures.iter().map(|closure| closure.edge)).collect();
-        let nodes = graph::solve(before, &edges)?;
+        nodes = graph::solve(&nodes, &edges)?;
         let deviations = closures.iter().map(|closure| closure.edge.squared_deviations(&nodes));
         let (worst, most) = deviations.enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
         if most <= OUTLIER {
@@ -437,6 +588,11 @@ fn worst(closures: &[Closure], nodes: &[Pose]) -> [f64; 2] {
 }
 
 impl Correction {
+    /// What is to be put before a pose at the end of the drive.
+    pub fn last(&self) -> Pose {
+        self.steps.last().map_or_else(Pose::identity, |(_, last)| *last)
+    }
+
     /// Where a pose belongs that was located after so much way (m).
     pub fn correct(&self, way: f64, pose: &Pose) -> Pose {
         let after = self.steps.partition_point(|(at, _)| *at <= way);

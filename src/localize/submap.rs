@@ -95,8 +95,32 @@ const OPAQUE: u8 = 4;
 #[derive(Clone, Debug)]
 struct Tile {
     flags: [u8; AREA],
-    /// Empty until something was met in the tile: most of a large map is free.
+    /// Number in `surfaces` for each cell that has one; empty until something was met in the tile: most of a large map is free.
+    slots: Vec<u16>,
     surfaces: Vec<Surface>,
+}
+
+impl Tile {
+    /// The surface of a cell that has one.
+    fn surface(&self, cell: usize) -> &Surface {
+        &self.surfaces[usize::from(self.slots[cell])]
+    }
+
+    /// See [`surface`](Self::surface).
+    fn surface_mut(&mut self, cell: usize) -> &mut Surface {
+        &mut self.surfaces[usize::from(self.slots[cell])]
+    }
+
+    /// The surface of a cell, which has one from now on.
+    fn make_surface(&mut self, cell: usize) -> &mut Surface {
+        if self.flags[cell] & HAS_SURFACE == 0 {
+            self.flags[cell] |= HAS_SURFACE;
+            self.slots.resize(AREA, 0);
+            self.slots[cell] = self.surfaces.len() as u16;
+            self.surfaces.push(Surface::default());
+        }
+        self.surface_mut(cell)
+    }
 }
 
 /// The surface around a point of the map.
@@ -159,8 +183,9 @@ impl Submap {
 
     /// Memory that it holds (bytes).
     pub fn bytes(&self) -> usize {
-        let surfaces: usize = self.tiles.iter().map(|tile| tile.surfaces.len()).sum();
-        self.tiles.len() * AREA + surfaces * size_of::<Surface>() + self.table.len() * 4
+        let of_tile =
+            |tile: &Tile| AREA + tile.slots.len() * 2 + tile.surfaces.capacity() * size_of::<Surface>();
+        self.tiles.iter().map(of_tile).sum::<usize>() + self.table.len() * 4
     }
 
     /// Rectangle of all that was seen: least and greatest x and y (m).
@@ -188,7 +213,7 @@ impl Submap {
         }
         let place = ((at[1] - self.origin[1]) * self.size[0] + at[0] - self.origin[0]) as usize;
         if self.table[place] == 0 {
-            self.tiles.push(Tile { flags: [0; AREA], surfaces: Vec::new() });
+            self.tiles.push(Tile { flags: [0; AREA], slots: Vec::new(), surfaces: Vec::new() });
             self.table[place] = self.tiles.len() as u32;
         }
         self.table[place] as usize - 1
@@ -238,13 +263,7 @@ impl Submap {
         let (x, y) = (index(at.x), index(at.y));
         let key = self.keys;
         let number = self.make_tile(x, y);
-        let tile = &mut self.tiles[number];
-        let cell = in_tile(x, y);
-        tile.flags[cell] |= HAS_SURFACE;
-        if tile.surfaces.is_empty() {
-            tile.surfaces.resize(AREA, Surface::default());
-        }
-        let surface = &mut tile.surfaces[cell];
+        let surface = self.tiles[number].make_surface(in_tile(x, y));
         // A thin wall's other side: the cell keeps the side that it saw first, while that is believed.
         if let (Some(new), Some(old)) = (normal, surface.normal())
             && new.dot(&old) < 0.0
@@ -294,22 +313,19 @@ impl Submap {
         let number = self.make_tile(x, y);
         let tile = &mut self.tiles[number];
         let cell = in_tile(x, y);
-        if tile.surfaces.is_empty() {
-            tile.surfaces.resize(AREA, Surface::default());
-        }
-        let (surface, flags) = (&mut tile.surfaces[cell], &mut tile.flags[cell]);
-        let is_other_side = |normal: Vector2<f64>| surface.normal().is_some_and(|old| normal.dot(&old) < 0.0);
+        let is_first = tile.flags[cell] & HAS_SURFACE == 0;
+        let side = tile.make_surface(cell).normal();
+        let is_other_side = |normal: Vector2<f64>| side.is_some_and(|old| normal.dot(&old) < 0.0);
         if known.normal.is_some_and(is_other_side) {
             return;
         }
-        let is_first = *flags & HAS_SURFACE == 0;
-        *flags |= HAS_SURFACE;
         // One piece that can be seen through is enough.
         if is_first && known.is_opaque {
-            *flags |= OPAQUE;
+            tile.flags[cell] |= OPAQUE;
         } else if !known.is_opaque {
-            *flags &= !OPAQUE;
+            tile.flags[cell] &= !OPAQUE;
         }
+        let surface = tile.surface_mut(cell);
         let at = [(at.x - f64::from(x) * CELL) as f32, (at.y - f64::from(y) * CELL) as f32];
         surface.add(at, known.normal, known.returns / 3.0);
         surface.hits = EVIDENCE / 2;
@@ -334,7 +350,7 @@ impl Submap {
             if tile.flags[cell] & OPAQUE == 0 {
                 continue;
             }
-            let surface = &tile.surfaces[cell];
+            let surface = tile.surface(cell);
             let off = surface.place(x, y) - from;
             let across = (off.x * direction.y - off.y * direction.x).abs();
             // From behind it may never have been looked at.
@@ -364,10 +380,9 @@ impl Submap {
             }
             let tile = &mut self.tiles[current.2];
             let cell = in_tile(x, y);
-            let flags = &mut tile.flags[cell];
-            *flags |= FREE;
-            if *flags & HAS_SURFACE != 0 {
-                let surface = &mut tile.surfaces[cell];
+            tile.flags[cell] |= FREE;
+            if tile.flags[cell] & HAS_SURFACE != 0 {
+                let surface = tile.surface_mut(cell);
                 if surface.last_miss != key && surface.last_hit != key {
                     let off = surface.place(x, y) - from;
                     let across = (off.x * direction.y - off.y * direction.x).abs();
@@ -396,7 +411,7 @@ impl Submap {
                 for x in cx - 1..=cx + 1 {
                     let cell = in_tile(x, y);
                     if tile.flags[cell] & HAS_SURFACE != 0 {
-                        sum.add(&tile.surfaces[cell], x - cx, y - cy, normal);
+                        sum.add(tile.surface(cell), x - cx, y - cy, normal);
                     }
                 }
             }
@@ -407,7 +422,7 @@ impl Submap {
                     let Some(tile) = self.tile(x, y) else { continue };
                     let cell = in_tile(x, y);
                     if tile.flags[cell] & HAS_SURFACE != 0 {
-                        sum.add(&tile.surfaces[cell], x - cx, y - cy, normal);
+                        sum.add(tile.surface(cell), x - cx, y - cy, normal);
                     }
                     if (x, y) == (cx, cy) {
                         seen = tile.flags[cell] & FREE != 0;
@@ -427,7 +442,7 @@ impl Submap {
         let (x, y) = (index(at.x), index(at.y));
         let Some(tile) = self.tile(x, y) else { return 0.0 };
         let cell = in_tile(x, y);
-        if tile.flags[cell] & HAS_SURFACE == 0 { 0.0 } else { f64::from(tile.surfaces[cell].existence()) }
+        if tile.flags[cell] & HAS_SURFACE == 0 { 0.0 } else { f64::from(tile.surface(cell).existence()) }
     }
 
     /// Cells that surely hold something.
@@ -438,7 +453,7 @@ impl Submap {
             let row = place as i32 / self.size[0] + self.origin[1];
             (0..AREA)
                 .filter(move |&cell| {
-                    tile.flags[cell] & HAS_SURFACE != 0 && tile.surfaces[cell].existence() > 0.4
+                    tile.flags[cell] & HAS_SURFACE != 0 && tile.surface(cell).existence() > 0.4
                 })
                 .map(move |cell| (column * SIDE + cell as i32 % SIDE, row * SIDE + cell as i32 / SIDE))
         })
@@ -541,11 +556,30 @@ impl Walk {
     }
 }
 
+/// Farthest column or row: a match that goes astray looks there, and at the neighbours.
+const FARTHEST: f64 = 1e9;
+
 /// Column or row of the cell that holds a coordinate.
 pub fn index(at: f64) -> i32 {
-    (at / CELL).floor() as i32
+    (at / CELL).floor().clamp(-FARTHEST, FARTHEST) as i32
 }
 
 fn in_tile(x: i32, y: i32) -> usize {
     ((y & 31) * SIDE + (x & 31)) as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_is_known_far_beyond_the_map() {
+        let map = Submap::default();
+        for far in [f64::MAX, f64::MIN, f64::INFINITY, f64::NAN] {
+            let (far, near) = (Point2::new(far, -far), Point2::origin());
+            assert!(matches!(map.look(far, None), Place::Unknown));
+            assert_eq!(map.existence(far), 0.0);
+            assert!(!map.contradicts(far, near));
+        }
+    }
 }

@@ -4,7 +4,7 @@ use super::*;
 use crate::{pose::pose, scan::Geometry};
 use nalgebra::Vector2;
 
-type Wall = [[f64; 2]; 2];
+pub(crate) type Wall = [[f64; 2]; 2];
 
 /// A room without symmetry: an L with a niche and a pillar.
 const ROOM: [Wall; 12] = [
@@ -41,7 +41,7 @@ fn range(walls: &[Wall], from: Vector2<f64>, direction: Vector2<f64>) -> f32 {
 }
 
 /// Scan number `seq` of a scanner that moves as `way` says (s to pose); each beam from where it is fired.
-fn scan(walls: &[Wall], way: &dyn Fn(f64) -> Pose, seq: u64) -> Scan {
+pub(crate) fn scan(walls: &[Wall], way: &dyn Fn(f64) -> Pose, seq: u64) -> Scan {
     let stamp_ns = seq as i64 * PERIOD_NS;
     let geometry = Geometry {
         angle_min: -135_f64.to_radians(),
@@ -205,8 +205,36 @@ fn scans_of_nothing_begin_no_map() {
     assert_eq!(localizer.tracking(), Tracking::Tracking);
 }
 
+#[test]
+fn what_was_moved_is_found_where_it_is_now() {
+    let way = |seconds: f64| pose(1.0 + seconds, 1.2, 0.0);
+    let settings = LocalizeSettings { submap_way: 1.0, ..LocalizeSettings::default() };
+    let mut localizer = Localizer::new(settings, Pose::identity());
+    for seq in 0..100 {
+        localizer.locate(&scan(&ROOM, &way, seq), None);
+    }
+    assert_eq!(localizer.former.len(), 2);
+    let mut unmoved = Localizer::new(localizer.settings.clone(), Pose::identity());
+    (0..100).for_each(|seq| _ = unmoved.locate(&scan(&ROOM, &way, seq), None));
+    // The later something was, the farther it has moved.
+    let later = |stamp_ns: i64| pose(0.0, 1e-9 * stamp_ns.clamp(0, 3_000_000_000) as f64, 0.5);
+    localizer.on_moved(later);
+    let next = scan(&ROOM, &way, 100);
+    let (found, before) = (localizer.locate(&next, None), unmoved.locate(&next, None));
+    assert!(difference(&found.start, &(pose(0.0, 3.0, 0.5) * before.start)).norm() < 1e-9);
+    let spread = |[xx, xy, _, yy, _, aa]: [f64; 6]| [xx + yy, xx * yy - xy * xy, aa];
+    for (a, b) in spread(found.covariance).into_iter().zip(spread(before.covariance)) {
+        assert!((a - b).abs() < 1e-6 * b, "the same deviations in other directions");
+    }
+    let frames: Vec<f64> = localizer.former.iter().map(|former| former.frame.translation.y).collect();
+    let since: Vec<f64> =
+        localizer.former.iter().map(|former| later(former.since_ns).translation.y).collect();
+    assert_eq!(frames, since);
+    assert!(frames[0] < 0.01 && (0.9..1.2).contains(&frames[1]), "{frames:?}");
+}
+
 /// A ring of corridors, 16 m by 12 m, with a niche or pillar here and there, none like another.
-fn ring() -> Vec<Wall> {
+pub(crate) fn ring() -> Vec<Wall> {
     let rectangle = |[x0, y0]: [f64; 2], [x1, y1]: [f64; 2]| {
         [[[x0, y0], [x1, y0]], [[x1, y0], [x1, y1]], [[x1, y1], [x0, y1]], [[x0, y1], [x0, y0]]]
     };
@@ -266,7 +294,7 @@ fn driven_round(drift: Pose) -> (loops::Loops, [f64; 2]) {
         });
         located.push((way, at, truth));
     }
-    let found = drive.close();
+    let found = drive.close(None);
     let worst = |correct: &dyn Fn(f64, &Pose) -> Pose| {
         located
             .iter()
@@ -309,6 +337,6 @@ fn what_looks_alike_but_is_not_the_same_closes_nothing() {
             points
         });
     }
-    let found = drive.close();
+    let found = drive.close(None);
     assert!(!matches!(found, loops::Loops::Bent(_)), "{found}");
 }

@@ -3,7 +3,7 @@
 
 use std::collections::{HashMap, VecDeque};
 
-use super::{Feeder, Progress, Replay, ReplayError, ReplayOptions, settings};
+use super::{Feeder, Progress, Replay, ReplayError, ReplayOptions, Tasks, settings};
 use crate::input::{self, InputReport, Sink};
 use crate::localize::loops::{Drive, Loops};
 use crate::localize::points::Points;
@@ -28,7 +28,8 @@ pub(super) fn run(
 ) -> Result<Replay, ReplayError> {
     let mut report = InputReport::default();
     let mut source = input::open(&options.inputs, &options.input, &mut report)?;
-    let settings = settings(options, source.as_ref())?;
+    // Here loops are closed with all of the drive at hand.
+    let settings = MapperSettings { close_loops: false, ..settings(options, source.as_ref())? };
     // Each pass is half of the work.
     let total = 2 * source.bytes();
     let mut located = Located {
@@ -43,9 +44,9 @@ pub(super) fn run(
     source.feed(&mut located, &mut report)?;
     located.mapper.finish();
     located.take_outcomes();
-    let Located { mapper: first, mut places, drive, .. } = located;
+    let Located { mapper: first, mut places, mut drive, .. } = located;
 
-    let loops = drive.close();
+    let loops = drive.close(None);
     if let Loops::Bent(correction) = &loops {
         for place in places.values_mut().flatten() {
             place.start = correction.correct(place.way, &place.start);
@@ -60,6 +61,7 @@ pub(super) fn run(
     let mut placed = Placed {
         feeder: Feeder {
             mapper: Mapper::new(given),
+            tasks: Tasks::AtOnce,
             wall_offset_ns: source.wall_offset_ns(),
             on_outcome,
             on_progress,
@@ -91,7 +93,7 @@ struct Located<'a> {
 impl Located<'_> {
     fn take_outcomes(&mut self) {
         while let Some(outcome) = self.mapper.next_outcome() {
-            let (Outcome::Inserted { seq, .. } | Outcome::Skipped { seq, .. }) = outcome;
+            let Some(seq) = outcome.seq() else { continue };
             let scan =
                 self.waiting.iter().position(|scan| scan.seq == seq).and_then(|at| self.waiting.remove(at));
             let place = match outcome {
@@ -100,6 +102,7 @@ impl Located<'_> {
                     Ok(Place { way, start, end })
                 }
                 Outcome::Skipped { reason, .. } => Err(reason),
+                Outcome::Moved(_) => continue,
             };
             // Of scans with the same number the first is the one that counts.
             self.places.entry(seq).or_insert(place);

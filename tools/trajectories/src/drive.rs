@@ -16,6 +16,8 @@ pub struct Trouble {
     pub lost_scans: f64,
     /// Share of the returns that lie anywhere before their true place.
     pub random_returns: f64,
+    /// By this part what is to the left seems too far and what is to the right too near: walls are bent, and a drive with them.
+    pub bent: f64,
     /// Odometry is missing for every second second.
     pub half_odometry: bool,
     /// The wheels slip by 20 % for one second in ten.
@@ -77,7 +79,9 @@ impl Drive {
                 continue;
             }
             let mut ranges: Vec<f32> = scan.distances_mm.iter().map(|&mm| metres(mm)).collect();
-            for range in &mut ranges {
+            for (beam, range) in ranges.iter_mut().enumerate() {
+                let bearing = geometry.angle_min + beam as f64 * geometry.angle_increment;
+                *range *= (1.0 + trouble.bent * bearing.sin()) as f32;
                 if random.random_bool(trouble.random_returns) {
                     let farthest = if range.is_finite() { *range } else { 10.0 };
                     *range = random.random_range(0.1..farthest.max(0.2));

@@ -35,6 +35,12 @@ struct Arguments {
     /// Share of returns that are random.
     #[arg(long, default_value_t = 0.0)]
     random_returns: f64,
+    /// Let what is to the left seem too far by this part, and what is to the right too near: walls are bent, and a drive with them.
+    #[arg(long, default_value_t = 0.0)]
+    bent: f64,
+    /// Drive each path so many times.
+    #[arg(long)]
+    laps: Option<usize>,
     /// Leave out the odometry of every second second.
     #[arg(long)]
     half_odometry: bool,
@@ -42,9 +48,10 @@ struct Arguments {
     #[arg(long)]
     slip: bool,
     /// Print all that matters as a table instead, the worst of all seeds and starts.
-    #[arg(long, conflicts_with_all = ["modes", "skip", "lost_scans", "random_returns", "half_odometry", "slip", "optimize", "tum"])]
+    #[arg(long, conflicts_with_all = ["modes", "skip", "lost_scans", "random_returns", "bent", "laps", "half_odometry", "slip", "optimize", "tum"])]
     table: bool,
-    /// Close the loops afterwards, as `visagged replay --optimize` does, and print a second line for each.
+    /// Print two more lines for each, with its loops closed afterwards, as `visagged replay --optimize` does, and on the way, as
+    /// `visagged` does.
     #[arg(long)]
     optimize: bool,
     /// Instead of all that: put a robot down at so many random places of each world's map, to find out where it is.
@@ -63,8 +70,11 @@ struct Arguments {
 
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
-    let worlds: Vec<World> =
+    let mut worlds: Vec<World> =
         arguments.worlds.iter().map(|name| World::load(name)).collect::<Result<_, _>>()?;
+    if let Some(laps) = arguments.laps {
+        worlds.iter_mut().for_each(|world| world.robot.laps = laps);
+    }
     if let Some(places) = arguments.put_down {
         let (seeds, seconds) = (&arguments.seeds, arguments.seconds);
         return put_down::run(&worlds, seeds, places, seconds, arguments.stand);
@@ -75,6 +85,7 @@ fn main() -> Result<()> {
     let trouble = Trouble {
         lost_scans: arguments.lost_scans,
         random_returns: arguments.random_returns,
+        bent: arguments.bent,
         half_odometry: arguments.half_odometry,
         slip: arguments.slip,
         skip: arguments.skip,
@@ -101,12 +112,24 @@ fn main() -> Result<()> {
             for method in &arguments.modes {
                 let label = format!("{} {seed}", world.name);
                 let mode = method.name();
-                let run = Run::of(&drive, *method);
+                let run = Run::of(&drive, *method, false);
                 run.print(&label, &mode);
                 if arguments.optimize {
                     let (closed, words) = run.closed(&drive);
                     closed.print(&label, "closed");
                     println!("    {words}");
+                    let on_the_way = Run::of(&drive, *method, true);
+                    on_the_way.print(&label, "closed on the way");
+                    if let Some(loops) = on_the_way.report.and_then(|report| report.loops) {
+                        let closed =
+                            loops.last.map_or_else(|| "nothing was closed".into(), |last| last.to_string());
+                        println!(
+                            "    {closed}; {} searches, {} scans and {:.0} MB kept",
+                            loops.searches,
+                            loops.scans_kept,
+                            loops.bytes as f64 / 1e6
+                        );
+                    }
                 }
                 if let Some(folder) = &arguments.tum {
                     run.write(&drive, folder, &format!("{}-{mode}", label.replace(' ', "-")))?;

@@ -6,6 +6,7 @@ use anyhow::Result;
 use nalgebra::{Matrix3, Vector2};
 use std::{io::Write, path::Path, str::FromStr};
 use visagged::{
+    closing::Task,
     localize::{
         LocalizeSettings, Reference,
         loops::{self, Loops},
@@ -83,11 +84,11 @@ pub struct Run {
 }
 
 impl Run {
-    /// Locates a drive.
-    pub fn of(drive: &Drive, method: Method) -> Run {
+    /// Locates a drive, and closes its loops on the way or not.
+    pub fn of(drive: &Drive, method: Method, close_loops: bool) -> Run {
         match method {
             Method::Wheels => Run::of_wheels(drive),
-            Method::Matched { guided, reference } => Run::of_matching(drive, guided, reference),
+            Method::Matched { guided, reference } => Run::of_matching(drive, guided, reference, close_loops),
         }
     }
 
@@ -101,35 +102,55 @@ impl Run {
         Run { located: known.collect(), frame: Pose::identity(), report: None }
     }
 
-    fn of_matching(drive: &Drive, guided: bool, reference: Reference) -> Run {
+    fn of_matching(drive: &Drive, guided: bool, reference: Reference, close_loops: bool) -> Run {
         let settings = MapperSettings {
             // The grid has no part in it, and this one is quick.
             mapper: MapperKind::Visits,
             poses: PoseUse::Odometry,
             mount: drive.mount,
             localize: LocalizeSettings { reference, ..LocalizeSettings::default() },
+            close_loops,
             ..MapperSettings::default()
         };
         let mut mapper = Mapper::new(settings);
         let mut odometry = drive.odometry.iter().filter(|_| guided).peekable();
-        let (mut located, mut number) = (Vec::new(), 0);
+        let (mut located, mut number): (Vec<Located>, _) = (Vec::new(), 0);
         let mut take = |mapper: &mut Mapper| {
             while let Some(outcome) = mapper.next_outcome() {
-                if let Outcome::Inserted { start: found, covariance, .. } = outcome {
-                    located.push(Located { number, found, truth: drive.truth[number], covariance });
+                match outcome {
+                    Outcome::Inserted { start: found, covariance, .. } => {
+                        located.push(Located { number, found, truth: drive.truth[number], covariance });
+                    }
+                    Outcome::Skipped { .. } => {}
+                    Outcome::Moved(moved) => {
+                        for located in &mut located {
+                            located.found = moved.at(drive.scans[located.number].stamp_ns) * located.found;
+                            located.covariance = None;
+                        }
+                        continue;
+                    }
                 }
                 number += 1;
             }
+        };
+        let mut do_tasks = |mapper: &mut Mapper, first: Option<Task>| {
+            let mut task = first.or_else(|| mapper.next_task());
+            while let Some(next) = task {
+                mapper.take_back(next.run());
+                task = mapper.next_task();
+            }
+            take(mapper);
         };
         for scan in &drive.scans {
             while let Some(pose) = odometry.next_if(|pose| pose.stamp_ns <= scan.end_ns() + 10_000_000) {
                 mapper.on_pose(*pose);
             }
             mapper.on_scan(scan.clone());
-            take(&mut mapper);
+            do_tasks(&mut mapper, None);
         }
         mapper.finish();
-        take(&mut mapper);
+        let last = mapper.last_task();
+        do_tasks(&mut mapper, last);
         // Without odometry the map begins at the first pose that was found.
         let frame = if guided { Pose::identity() } else { drive.truth[0] };
         Run { located, frame, report: Some(mapper.report()) }
@@ -160,7 +181,7 @@ impl Run {
             .collect();
         let mut run = Run { report: None, ..self.clone() };
         let before = std::time::Instant::now();
-        let found = loops.close();
+        let found = loops.close(None);
         let words = format!("{found} ({:.1} s)", before.elapsed().as_secs_f64());
         if let Loops::Bent(correction) = &found {
             for (located, way) in run.located.iter_mut().zip(&ways) {

@@ -14,7 +14,7 @@ const STARTS: [f64; 2] = [0.0, 10.0];
 const PUT_DOWN: (u32, f64) = (20, 45.0);
 
 const NO_TROUBLE: Trouble =
-    Trouble { lost_scans: 0.0, random_returns: 0.0, half_odometry: false, slip: false, skip: 0.0 };
+    Trouble { lost_scans: 0.0, random_returns: 0.0, bent: 0.0, half_odometry: false, slip: false, skip: 0.0 };
 /// What goes wrong: nothing, half of the odometry is missing, the wheels slip.
 const TROUBLES: [Trouble; 3] =
     [NO_TROUBLE, Trouble { half_odometry: true, ..NO_TROUBLE }, Trouble { slip: true, ..NO_TROUBLE }];
@@ -28,49 +28,47 @@ struct Row {
     name: &'static str,
     trouble: usize,
     method: Method,
-    /// The name of a second row: the same with its loops closed.
-    closed: Option<&'static str>,
+    /// Whether two rows follow: the same with its loops closed afterwards, and on the way.
+    is_closed: bool,
 }
 
 const ROWS: [Row; 7] = [
-    Row { name: "wheel odometry alone", trouble: 0, method: Method::Wheels, closed: None },
+    Row { name: "wheel odometry alone", trouble: 0, method: Method::Wheels, is_closed: false },
     Row {
         name: "odometry, standard grid",
         trouble: 0,
         method: matched(true, Reference::Standard),
-        closed: None,
+        is_closed: false,
     },
-    Row {
-        name: "odometry, ours",
-        trouble: 0,
-        method: matched(true, Reference::Surfaces),
-        closed: Some(".. loops closed"),
-    },
+    Row { name: "odometry, ours", trouble: 0, method: matched(true, Reference::Surfaces), is_closed: true },
     Row {
         name: ".. half of the odometry missing",
         trouble: 1,
         method: matched(true, Reference::Surfaces),
-        closed: None,
+        is_closed: false,
     },
     Row {
         name: ".. wheels slip by 20 %",
         trouble: 2,
         method: matched(true, Reference::Surfaces),
-        closed: None,
+        is_closed: false,
     },
     Row {
         name: "scanner alone, standard grid",
         trouble: 0,
         method: matched(false, Reference::Standard),
-        closed: None,
+        is_closed: false,
     },
     Row {
         name: "scanner alone, ours",
         trouble: 0,
         method: matched(false, Reference::Surfaces),
-        closed: Some(".. loops closed"),
+        is_closed: true,
     },
 ];
+
+/// The rows that follow where loops are closed.
+const CLOSED: [&str; 2] = [".. loops closed afterwards", ".. loops closed on the way"];
 
 /// What came of some drives.
 #[derive(Default)]
@@ -101,7 +99,10 @@ impl Sum {
 
 /// Drives through all worlds with all seeds from all starts and prints the tables.
 pub fn run(worlds: &[World], seeds: &[u64]) -> Result<()> {
-    let names = ROWS.iter().flat_map(|row| [Some(row.name), row.closed].into_iter().flatten());
+    let names = ROWS.iter().flat_map(|row| {
+        let more: &[&str] = if row.is_closed { &CLOSED } else { &[] };
+        [row.name].into_iter().chain(more.iter().copied())
+    });
     let mut rows: Vec<(&str, Vec<Sum>)> = names.map(|name| (name, Vec::new())).collect();
     for world in worlds {
         rows.iter_mut().for_each(|(_, sums)| sums.push(Sum::default()));
@@ -110,9 +111,9 @@ pub fn run(worlds: &[World], seeds: &[u64]) -> Result<()> {
             let drives = TROUBLES.map(|trouble| Drive::new(world, seed, Trouble { skip, ..trouble }));
             let runs = ROWS.iter().flat_map(|row| {
                 let drive = &drives[row.trouble];
-                let run = Run::of(drive, row.method);
-                let closed = row.closed.map(|_| run.closed(drive).0);
-                [Some(run), closed].into_iter().flatten()
+                let run = Run::of(drive, row.method, false);
+                let closed = row.is_closed.then(|| [run.closed(drive).0, Run::of(drive, row.method, true)]);
+                [run].into_iter().chain(closed.into_iter().flatten())
             });
             for (run, (_, sums)) in runs.zip(&mut rows) {
                 sums.last_mut().expect("one was put there for this world").add(&run);
