@@ -538,7 +538,6 @@ mod tests {
     use super::*;
     use crate::{
         grid::{
-            near,
             sweep::tests::half_circle,
             track::{Run, Sector},
             view::{HIT, Observation},
