@@ -9,15 +9,18 @@ use super::{
     cells::{self, Cells},
     free::Outline,
     idea::Idea,
+    judge::Judgement,
     lanes::{self, Path, Sights},
+    mirrors::Mirrors,
     near::Near,
     rays::Rays,
+    reflection::{Block, Opacity, Sources},
     saved::PAUSE_NS,
     slots::Slots,
+    squares::Squares,
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
     track::{LANES, Look, Track, distance_units},
-    verdict::Judgement,
     view::{Place, Tolerance, View},
 };
 use serde::{Deserialize, Serialize};
@@ -105,20 +108,28 @@ impl VisaggeSettings {
 /// The cells with evidence in a tile.
 #[derive(Clone, Debug)]
 pub(super) struct Evidence {
-    slots: Slots,
+    pub(super) slots: Slots,
     pub(super) cells: Cells,
     /// The last scan that these were compared with.
-    looked_scan: u32,
+    pub(super) looked_scan: u32,
     /// What was last judged of each of `cells`.
     pub(super) judgements: Vec<Judgement>,
-    /// A bit for each cell that is shown unless it is an image, a word a row.
+    /// The last scan that these had been compared with then; `None` before.
+    pub(super) judged_scan: Option<u32>,
+    /// Squares out of which cells were taken since.
+    pub(super) emptied: Squares,
+    /// A bit for each cell that is shown by itself unless it is an image, a word a row.
+    pub(super) shaped: [u64; SIDE as usize],
+    /// The same with gaps bridged.
     pub(super) shown: [u64; SIDE as usize],
-    /// A bit for each of these that something may be seen through or in, a word a row.
-    pub(super) mirrors: [u64; SIDE as usize],
-    /// A bit for each cell that is one of these or beside one, a word a row.
-    pub(super) near_mirrors: [u64; SIDE as usize],
-    /// Whether there is any such cell.
-    pub(super) has_mirrors: bool,
+    /// Those of these that something may be seen through or in.
+    pub(super) mirrors: Option<Box<Mirrors>>,
+    /// What the images among the cells were judged by.
+    pub(super) sources: Sources,
+    /// What is seen through surfaces in these cells.
+    pub(super) votes: Opacity,
+    /// The blocks of `votes` that were opaque.
+    pub(super) opaque: Vec<Block>,
 }
 
 impl Default for Evidence {
@@ -128,10 +139,14 @@ impl Default for Evidence {
             cells: Cells::default(),
             looked_scan: 0,
             judgements: Vec::new(),
+            judged_scan: None,
+            emptied: Squares::default(),
+            shaped: [0; SIDE as usize],
             shown: [0; SIDE as usize],
-            mirrors: [0; SIDE as usize],
-            near_mirrors: [0; SIDE as usize],
-            has_mirrors: false,
+            mirrors: None,
+            sources: Sources::default(),
+            votes: Opacity::default(),
+            opaque: Vec::new(),
         }
     }
 }
@@ -155,19 +170,6 @@ impl Evidence {
         }
     }
 
-    /// The cell in this column and row, or beside, if something may be seen through it or in it.
-    pub(super) fn mirror_at(&self, column: usize, row: usize) -> Option<(Cell, &Judgement)> {
-        if self.near_mirrors[row] >> column & 1 == 0 {
-            return None;
-        }
-        let beside = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
-        let (column, row) =
-            beside.into_iter().map(|(x, y)| (column as i32 + x, row as i32 + y)).find(|&(x, y)| {
-                (0..SIDE).contains(&x) && (0..SIDE).contains(&y) && self.mirrors[y as usize] >> x & 1 == 1
-            })?;
-        self.at(column as usize, row as usize)
-    }
-
     /// The cell in this column and row, with what was last judged of it.
     pub(super) fn at(&self, column: usize, row: usize) -> Option<(Cell, &Judgement)> {
         let number = self.slots.get(place_of([column as u8, row as u8]))?;
@@ -185,6 +187,10 @@ impl Evidence {
             + self.slots.bytes()
             + self.cells.bytes()
             + self.judgements.capacity() * size_of::<Judgement>()
+            + self.mirrors.as_ref().map_or(0, |mirrors| mirrors.bytes())
+            + self.sources.bytes()
+            + self.votes.bytes()
+            + self.opaque.capacity() * size_of::<Block>()
     }
 
     fn retain(&mut self, keep: impl Fn(&Returns) -> bool) {
@@ -195,6 +201,7 @@ impl Evidence {
                 continue;
             }
             self.slots.clear(place_of(returns.place));
+            self.emptied.insert(returns.place);
             self.cells.swap_remove(number);
             self.judgements.swap_remove(number);
             if let Some(moved) = self.cells.returns.get(number) {
@@ -204,7 +211,7 @@ impl Evidence {
     }
 }
 
-fn place_of([column, row]: [u8; 2]) -> Place {
+pub(super) fn place_of([column, row]: [u8; 2]) -> Place {
     Place::from(row) << 6 | Place::from(column)
 }
 
@@ -234,11 +241,13 @@ pub(super) struct Tile {
     pub(super) free: [u64; SIDE as usize],
     /// The cells in which returns have landed.
     pub(super) evidence: Option<Box<Evidence>>,
+    /// Sum of the words of `free` when last judged: since bits are only ever set, it has grown where any was.
+    pub(super) judged_free: u128,
 }
 
 impl Default for Tile {
     fn default() -> Self {
-        Tile { free: [0; SIDE as usize], evidence: None }
+        Tile { free: [0; SIDE as usize], evidence: None, judged_free: 0 }
     }
 }
 

@@ -1,0 +1,62 @@
+//! The cells of a tile that something may be seen through or in, and all that images are judged by of them.
+
+use super::{angle::AngleRange, surface::Line, tiles::SIDE, view::Place};
+use std::collections::BTreeMap;
+
+/// What images are judged by of such a cell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mirror {
+    /// The surface through it and its neighbours.
+    pub line: Line,
+    /// The widest range from which it was continuously observed.
+    pub visible: AngleRange,
+}
+
+/// Those of a tile.
+#[derive(Clone, Debug)]
+pub struct Mirrors {
+    mirrors: BTreeMap<Place, Mirror>,
+    /// A bit for each of them, a word a row.
+    rows: [u64; SIDE as usize],
+    /// A bit for each cell that is one of these or beside one.
+    near: [u64; SIDE as usize],
+}
+
+impl Mirrors {
+    /// `None` where there are none.
+    pub fn of(mirrors: BTreeMap<Place, Mirror>) -> Option<Mirrors> {
+        if mirrors.is_empty() {
+            return None;
+        }
+        let mut rows = [0; SIDE as usize];
+        mirrors.keys().for_each(|place| rows[usize::from(place >> 6)] |= 1 << (place & 63));
+        let near = std::array::from_fn(|row| {
+            let beside = [row.wrapping_sub(1), row + 1].map(|row| rows.get(row).copied().unwrap_or(0));
+            rows[row] | rows[row] << 1 | rows[row] >> 1 | beside[0] | beside[1]
+        });
+        Some(Mirrors { mirrors, rows, near })
+    }
+
+    /// All of them, by their places in the tile.
+    pub fn into_all(self) -> BTreeMap<Place, Mirror> {
+        self.mirrors
+    }
+
+    /// The one in this column and row, or beside.
+    pub fn near(&self, column: usize, row: usize) -> Option<&Mirror> {
+        if self.near[row] >> column & 1 == 0 {
+            return None;
+        }
+        let beside = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
+        let (column, row) =
+            beside.into_iter().map(|(x, y)| (column as i32 + x, row as i32 + y)).find(|&(x, y)| {
+                (0..SIDE).contains(&x) && (0..SIDE).contains(&y) && self.rows[y as usize] >> x & 1 == 1
+            })?;
+        self.mirrors.get(&((row << 6 | column) as Place))
+    }
+
+    /// Memory that they hold (bytes), but for what the tree takes beside its entries.
+    pub fn bytes(&self) -> usize {
+        size_of_val(self) + self.mirrors.len() * size_of::<(Place, Mirror)>()
+    }
+}
