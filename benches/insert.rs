@@ -143,6 +143,7 @@ fn asked(world: &str, laid: &[Laid]) {
         quantile(&maps, 0.5),
         quantile(&maps, 0.99)
     );
+    println!("{world}: {:.2} MB", grid.bytes() as f64 / 1e6);
 }
 
 /// Eight hours of scans at 40 Hz, lap after lap, with a map each half minute as in the daemon.

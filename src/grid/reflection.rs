@@ -270,7 +270,8 @@ fn cross(
         crossed.insert(place);
         let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
         let Some(mirrors) = evidence.and_then(|evidence| evidence.mirrors.as_ref()) else {
-            distance = leaves(place, sensor, direction, resolution).max(distance) + step / 8.0;
+            let tile = [place.cell(0, 0), place.cell(SIDE as usize, SIDE as usize)];
+            distance = leaves(tile, sensor, direction, resolution).max(distance) + step / 8.0;
             continue;
         };
         while distance < end {
@@ -278,6 +279,14 @@ fn cross(
             let (inside, column, row) = index.split();
             if inside != place {
                 break;
+            }
+            if let Some(clear) = mirrors.clear_around(column, row) {
+                let corner = place.cell(0, 0);
+                let clear = clear.map(|cell| CellIndex { x: corner.x + cell.x, y: corner.y + cell.y });
+                let left = leaves(clear, sensor, direction, resolution) - distance;
+                // Whole steps, so that looking at all of them would find the same.
+                distance += step * f64::from((left / step).max(1.0) as u32);
+                continue;
             }
             let mirror = mirrors.near(column, row);
             if mirror.is_some_and(|mirror| visit(index, mirror, distance)) {
@@ -288,14 +297,14 @@ fn cross(
     }
 }
 
-/// Distance at which a line of sight that is in a tile leaves it (m).
-fn leaves(place: TileIndex, sensor: [f64; 2], direction: [f64; 2], resolution: f64) -> f64 {
-    let side = f64::from(SIDE) * resolution;
-    let along = |i: usize, place: i32| {
-        let border = if direction[i] > 0.0 { f64::from(place + 1) } else { f64::from(place) } * side;
+/// Distance at which a line of sight leaves a rectangle of cells that it is in (m): from its lower left cell to before the
+/// one beyond the upper right.
+fn leaves([low, high]: [CellIndex; 2], sensor: [f64; 2], direction: [f64; 2], resolution: f64) -> f64 {
+    let along = |i: usize, low: i32, high: i32| {
+        let border = f64::from(if direction[i] > 0.0 { high } else { low }) * resolution;
         if direction[i] == 0.0 { f64::INFINITY } else { (border - sensor[i]) / direction[i] }
     };
-    along(0, place.x).min(along(1, place.y))
+    along(0, low.x, high.x).min(along(1, low.y, high.y))
 }
 
 impl Visagge {
