@@ -6,6 +6,7 @@
 //! itself, in CPU time of the thread; the rounds alternate between the contestants, and each scan counts with its fastest round.
 //!
 //! `cargo bench --bench insert -- WORLD` does that for one world; `-- WORLD visagge` runs one contestant, once: for a profiler.
+//! `-- WORLD asked` asks for a map each second of the drive and tells what these take.
 //! `-- WORLD hours` drives through it for eight hours, as fast as it can, and tells each hour what memory the process holds.
 
 #[expect(dead_code, reason = "the truth is for the marks")]
