@@ -6,6 +6,7 @@
 //! itself, in CPU time of the thread; the rounds alternate between the contestants, and each scan counts with its fastest round.
 //!
 //! `cargo bench --bench insert -- WORLD` does that for one world; `-- WORLD visagge` runs one contestant, once: for a profiler.
+//! `-- WORLD asked` asks for a map each second of the drive and tells what these take.
 //! `-- WORLD hours` drives through it for eight hours, as fast as it can, and tells each hour what memory the process holds.
 
 #[expect(dead_code, reason = "the truth is for the marks")]
@@ -38,11 +39,14 @@ const RESOLUTION: f64 = 0.05;
 const ROUNDS: usize = 3;
 /// Scans between two maps: five seconds.
 const MAP_EVERY: usize = 200;
+/// Scans in a second.
+const SECOND: usize = 40;
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
     match arguments.as_slice() {
         [world, who] if who == "hours" => hours(world),
+        [world, who] if who == "asked" => asked(world, &laid(world)),
         [world, who] => {
             let laid = laid(world);
             let times = contestant(who).expect("raywalk, visagge, portable, maps or standard")(&laid);
@@ -118,6 +122,29 @@ fn timed(laid: &[Laid], mut insert: impl FnMut(usize, &Sweep)) -> Vec<f64> {
         cpu_us() - before
     };
     laid.iter().enumerate().map(time).collect()
+}
+
+/// A map each second of the drive, as in the daemon: what each takes, and what that is for a scan.
+fn asked(world: &str, laid: &[Laid]) {
+    let mut grid = Visagge::new(RESOLUTION, VisaggeSettings::default());
+    let mut maps = Vec::new();
+    let begun = cpu_us();
+    for (number, (scan, start, end)) in laid.iter().enumerate() {
+        grid.insert(&Sweep { scan, start: *start, end: *end });
+        if number % SECOND == SECOND - 1 {
+            let before = cpu_us();
+            black_box(grid.map());
+            maps.push((cpu_us() - before) / 1e3);
+        }
+    }
+    let a_scan = (cpu_us() - begun) / laid.len().max(1) as f64;
+    let mean = maps.iter().sum::<f64>() / maps.len().max(1) as f64;
+    println!(
+        "{world}, a map each second: {mean:.1} ms each (median {:.1}, p99 {:.1}), {a_scan:.0} us a scan with them",
+        quantile(&maps, 0.5),
+        quantile(&maps, 0.99)
+    );
+    println!("{world}: {:.2} MB", grid.bytes() as f64 / 1e6);
 }
 
 /// Eight hours of scans at 40 Hz, lap after lap, with a map each half minute as in the daemon.

@@ -22,11 +22,19 @@ fn map() -> Map {
         occupancy: vec![0, 100, -1, -1, 100, 0],
         visibility: vec![-1, 100, -1, -1, 5, -1],
         layers: vec![
-            Layer { name: "hits", values: Values::U8(vec![0, 1, 2, 3, 4, 255]) },
-            Layer { name: "start", values: Values::U16(vec![0, 1, 256, 65535, 4, 5]) },
-            Layer { name: "drift", values: Values::F32(vec![0.5, -1.0, f32::MIN_POSITIVE, 3.0, 4.0, 5.0]) },
+            layer("hits", &[1, 2, 3, 4, 5], Values::U8(vec![1, 2, 3, 4, 255])),
+            layer("start", &[5, 1, 2, 3, 4], Values::U16(vec![5, 1, 256, 65535, 4])),
+            layer(
+                "drift",
+                &[0, 1, 2, 3, 4, 5],
+                Values::F32(vec![0.5, -1.0, f32::MIN_POSITIVE, 3.0, 4.0, 5.0]),
+            ),
         ],
     }
+}
+
+fn layer(name: &'static str, cells: &[usize], values: Values) -> Layer {
+    Layer { name, cells: cells.into(), values }
 }
 
 fn report(map: &Map) -> Report {

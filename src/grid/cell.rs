@@ -8,6 +8,7 @@ use super::{
     track::{Event, Track, UNITS_PER_M},
     view::SEEN_AGAIN,
 };
+use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// The rule of the core algorithm, in numbers.
 #[derive(Clone, Copy, Debug)]
@@ -164,6 +165,20 @@ impl Cell {
     pub fn returns_at(&self, index: CellIndex, resolution: f64) -> [f64; 2] {
         let [x, y] = self.returns.centroid.map(f64::from);
         [(f64::from(index.x) + x) * resolution, (f64::from(index.y) + y) * resolution]
+    }
+
+    /// A number that is another one as soon as anything is that the cell is judged by: all of it but when it was observed.
+    pub fn fingerprint(&self) -> u64 {
+        let Cell { returns, visible, visible_too, missed, seen_again } = self;
+        let mut hasher = DefaultHasher::new();
+        let floats = [returns.centroid, returns.hit_time, visible.ranges, visible_too.ranges];
+        (returns.occupancy, returns.passes, returns.hits, floats.map(|pair| pair.map(f32::to_bits)))
+            .hash(&mut hasher);
+        [visible.range, visible_too.range, *missed]
+            .map(|range| (range.start.0, range.width))
+            .hash(&mut hasher);
+        (visible_too.way >= 0.0, seen_again).hash(&mut hasher);
+        hasher.finish()
     }
 
     /// Time from its first return to its last (s).

@@ -9,11 +9,11 @@ use super::{
     angle::{Angle, AngleRange, units},
     cell::Cell,
     idea::Idea,
-    surface::Line,
+    mirrors::Mirror,
     tiles::{CellIndex, SIDE, TileIndex},
     visagge::Visagge,
 };
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 
 /// Parts of the range of view angles from which the line of sight is looked at, the most telling first. The very ends look
 /// past the edges of the surface that reflects, where a cell's error decides.
@@ -81,22 +81,75 @@ impl Image {
 /// A block of cells.
 pub(super) type Block = (i32, i32);
 
+/// The tiles that images were judged by.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Sources {
+    /// Those that lines of sight cross, by their mirrors.
+    pub crossed: Places,
+    /// Those in which originals were sought, by what is shown and what is free there.
+    pub sought: Places,
+}
+
+impl Sources {
+    /// Memory beside itself (bytes).
+    pub fn bytes(&self) -> usize {
+        (self.crossed.0.capacity() + self.sought.0.capacity()) * size_of::<TileIndex>()
+    }
+}
+
+/// Places of tiles, each of them once.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Places(Vec<TileIndex>);
+
+impl Places {
+    fn insert(&mut self, place: TileIndex) {
+        if let Err(at) = self.0.binary_search(&place) {
+            self.0.insert(at, place);
+        }
+    }
+
+    /// All of them.
+    pub fn iter(&self) -> impl Iterator<Item = TileIndex> {
+        self.0.iter().copied()
+    }
+}
+
 /// What is seen through the surfaces in each block: how much of it is explained, and all of it.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Opacity {
-    votes: HashMap<Block, (u32, u32)>,
+    votes: BTreeMap<Block, (u32, u32)>,
 }
 
 impl Opacity {
     /// Counts what was found of a cell.
     pub(super) fn vote(&mut self, image: Image) {
-        let (block, explained) = match image {
-            Image::No | Image::Yes | Image::Unknown(_) => return,
-            Image::Unexplained(block) => (block, 0),
-            Image::IfOpaque(block) => (block, 1),
+        let (block, explained, all) = match image {
+            Image::No | Image::Yes => return,
+            Image::Unknown(block) => (block, 0, 0),
+            Image::Unexplained(block) => (block, 0, 1),
+            Image::IfOpaque(block) => (block, 1, 1),
         };
+        self.count(block, (explained, all));
+    }
+
+    /// Counts what was counted elsewhere.
+    pub(super) fn add(&mut self, other: &Opacity) {
+        other.votes.iter().for_each(|(block, votes)| self.count(*block, *votes));
+    }
+
+    fn count(&mut self, block: Block, (explained, all): (u32, u32)) {
         let votes = self.votes.entry(block).or_default();
-        *votes = (votes.0 + explained, votes.1 + 1);
+        *votes = (votes.0 + explained, votes.1 + all);
+    }
+
+    /// Those of the blocks counted in `of` whose surface reflects all that is seen through it.
+    pub(super) fn opaque(&self, of: &Opacity) -> Vec<Block> {
+        of.votes.keys().copied().filter(|block| self.is_opaque(*block)).collect()
+    }
+
+    /// Memory beside itself (bytes), but for what the tree takes beside its entries.
+    pub(super) fn bytes(&self) -> usize {
+        self.votes.len() * size_of::<(Block, (u32, u32))>()
     }
 
     /// Whether the surface in the block, with its neighbours, reflects all that is seen through it.
@@ -118,8 +171,8 @@ impl Opacity {
     }
 }
 
-/// Whether a cell is explained as an image from everywhere it was seen.
-pub(super) fn image(grid: &Visagge, place: TileIndex, cell: &Cell) -> Image {
+/// Whether a cell is explained as an image from everywhere it was seen. `sources` takes in what this depends on, but for the cell.
+pub(super) fn image(grid: &Visagge, place: TileIndex, cell: &Cell, sources: &mut Sources) -> Image {
     let index = cell.index(place);
     let at = |index: i32| (f64::from(index) + 0.5) * grid.resolution;
     let point = [at(index.x), at(index.y)];
@@ -131,7 +184,7 @@ pub(super) fn image(grid: &Visagge, place: TileIndex, cell: &Cell) -> Image {
         let mut unexplained = 0;
         for part in OBSERVERS {
             let [x, y] = visible.sensor(part);
-            match explained(grid, point, [point[0] + x, point[1] + y], x.hypot(y), y.atan2(x)) {
+            match explained(grid, point, [point[0] + x, point[1] + y], x.hypot(y), y.atan2(x), sources) {
                 Image::Yes => (),
                 Image::IfOpaque(block) => image = Image::IfOpaque(block),
                 other => {
@@ -147,26 +200,34 @@ pub(super) fn image(grid: &Visagge, place: TileIndex, cell: &Cell) -> Image {
 }
 
 /// Whether a surface between sensor and point shows there what is elsewhere.
-fn explained(grid: &Visagge, point: [f64; 2], sensor: [f64; 2], range: f64, bearing: f64) -> Image {
+fn explained(
+    grid: &Visagge,
+    point: [f64; 2],
+    sensor: [f64; 2],
+    range: f64,
+    bearing: f64,
+    sources: &mut Sources,
+) -> Image {
     let mut image = Image::No;
     let seen_from = Angle::from_rad(bearing);
-    cross(grid, sensor, point, range, |index, cell, line, distance| {
+    let Sources { crossed, sought } = sources;
+    cross(grid, sensor, point, range, crossed, |index, Mirror { line, visible }, distance| {
         // What was always seen from this direction was not seen through.
-        let inside = cell.visible.range.depth(AngleRange::at(seen_from), 0);
-        if cell.missed.width == 0 || inside > units(INSIDE) as i32 {
+        let inside = visible.depth(AngleRange::at(seen_from), 0);
+        if inside > units(INSIDE) as i32 {
             return false;
         }
         let block = (index.x.div_euclid(BLOCK), index.y.div_euclid(BLOCK));
         let mirrored = line.mirror(point);
         let to_sensor = (mirrored[0] - sensor[0]).hypot(mirrored[1] - sensor[1]);
         let tolerance = (PLACE + 2.0 * DIRECTION * (range - distance)).min(WIDEST);
-        let explains = to_sensor <= BODY + tolerance || grid.is_mapped_near(mirrored, tolerance);
+        let explains = to_sensor <= BODY + tolerance || grid.is_mapped_near(mirrored, tolerance, sought);
         let by_glass =
             range <= SEES * glass_reflects(line.off_normal(bearing)) || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
             (true, _) if by_glass => Image::Yes,
             (true, _) => Image::IfOpaque(block),
-            (false, Image::No) if grid.is_crossed(mirrored) => Image::Unexplained(block),
+            (false, Image::No) if grid.is_crossed(mirrored, sought) => Image::Unexplained(block),
             (false, Image::No) => Image::Unknown(block),
             _ => image,
         };
@@ -191,7 +252,8 @@ fn cross(
     sensor: [f64; 2],
     point: [f64; 2],
     range: f64,
-    mut visit: impl FnMut(CellIndex, &Cell, &Line, f64) -> bool,
+    crossed: &mut Places,
+    mut visit: impl FnMut(CellIndex, &Mirror, f64) -> bool,
 ) {
     let resolution = grid.resolution;
     // Half a cell: rows of cells that touch at their corners only are not slipped through.
@@ -205,9 +267,11 @@ fn cross(
     let end = range - CLEAR_OF_CELL;
     while distance < end {
         let (place, ..) = at(distance).split();
+        crossed.insert(place);
         let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
-        let Some(evidence) = evidence.filter(|evidence| evidence.has_mirrors) else {
-            distance = leaves(place, sensor, direction, resolution).max(distance) + step / 8.0;
+        let Some(mirrors) = evidence.and_then(|evidence| evidence.mirrors.as_ref()) else {
+            let tile = [place.cell(0, 0), place.cell(SIDE as usize, SIDE as usize)];
+            distance = leaves(tile, sensor, direction, resolution).max(distance) + step / 8.0;
             continue;
         };
         while distance < end {
@@ -216,37 +280,44 @@ fn cross(
             if inside != place {
                 break;
             }
-            let crossed = evidence.mirror_at(column, row);
-            let visited = crossed.as_ref().is_some_and(|(cell, judgement)| {
-                judgement.line.as_ref().is_some_and(|line| visit(index, cell, line, distance))
-            });
-            if visited {
+            if let Some(clear) = mirrors.clear_around(column, row) {
+                let corner = place.cell(0, 0);
+                let clear = clear.map(|cell| CellIndex { x: corner.x + cell.x, y: corner.y + cell.y });
+                let left = leaves(clear, sensor, direction, resolution) - distance;
+                // Whole steps, so that looking at all of them would find the same.
+                distance += step * f64::from((left / step).max(1.0) as u32);
+                continue;
+            }
+            let mirror = mirrors.near(column, row);
+            if mirror.is_some_and(|mirror| visit(index, mirror, distance)) {
                 return;
             }
-            distance += if crossed.is_some() { THICKNESS } else { step };
+            distance += if mirror.is_some() { THICKNESS } else { step };
         }
     }
 }
 
-/// Distance at which a line of sight that is in a tile leaves it (m).
-fn leaves(place: TileIndex, sensor: [f64; 2], direction: [f64; 2], resolution: f64) -> f64 {
-    let side = f64::from(SIDE) * resolution;
-    let along = |i: usize, place: i32| {
-        let border = if direction[i] > 0.0 { f64::from(place + 1) } else { f64::from(place) } * side;
+/// Distance at which a line of sight leaves a rectangle of cells that it is in (m): from its lower left cell to before the
+/// one beyond the upper right.
+fn leaves([low, high]: [CellIndex; 2], sensor: [f64; 2], direction: [f64; 2], resolution: f64) -> f64 {
+    let along = |i: usize, low: i32, high: i32| {
+        let border = f64::from(if direction[i] > 0.0 { high } else { low }) * resolution;
         if direction[i] == 0.0 { f64::INFINITY } else { (border - sensor[i]) / direction[i] }
     };
-    along(0, place.x).min(along(1, place.y))
+    along(0, low.x, high.x).min(along(1, low.y, high.y))
 }
 
 impl Visagge {
-    /// Whether a beam has crossed the point.
-    fn is_crossed(&self, point: [f64; 2]) -> bool {
+    /// Whether a beam has crossed the point; `sought` takes in where that was looked up.
+    fn is_crossed(&self, point: [f64; 2], sought: &mut Places) -> bool {
         let (place, column, row) = CellIndex::of(point[0], point[1], self.resolution).split();
+        sought.insert(place);
         self.tiles.get(place).is_some_and(|tile| tile.free[row] >> column & 1 == 1)
     }
 
-    /// Whether a cell that is shown lies within this distance of the point (m), in x and in y.
-    fn is_mapped_near(&self, point: [f64; 2], distance: f64) -> bool {
+    /// Whether a cell that is shown lies within this distance of the point (m), in x and in y; `sought` takes in where that was looked
+    /// up.
+    fn is_mapped_near(&self, point: [f64; 2], distance: f64, sought: &mut Places) -> bool {
         let low = CellIndex::of(point[0] - distance, point[1] - distance, self.resolution);
         let high = CellIndex::of(point[0] + distance, point[1] + distance, self.resolution);
         let ((first, left, bottom), (last, right, top)) = (low.split(), high.split());
@@ -257,8 +328,10 @@ impl Visagge {
                 let from = if x == first.x { left } else { 0 };
                 let beyond = if x == last.x { SIDE as usize - 1 - right } else { 0 };
                 let columns = (u64::MAX << from) & (u64::MAX >> beyond);
+                let place = TileIndex { x, y };
+                sought.insert(place);
                 self.tiles
-                    .get(TileIndex { x, y })
+                    .get(place)
                     .and_then(|tile| tile.evidence.as_ref())
                     .is_some_and(|evidence| evidence.shown[rows.clone()].iter().any(|row| row & columns != 0))
             })

@@ -8,6 +8,7 @@ use super::{
     visits::Visits,
 };
 use crate::map::{Layer, Map, Values};
+use std::sync::Arc;
 
 /// A rectangle of cells that grows out of the cells that were seen.
 struct Frame {
@@ -72,16 +73,35 @@ impl Visagge {
         })
     }
 
+    /// Rows of cells side by side that a beam has crossed: the first of each row, and how many they are.
+    fn crossed_rows(&self) -> impl Iterator<Item = (CellIndex, usize)> {
+        self.tiles.iter().flat_map(|(place, tile)| {
+            tile.free.iter().enumerate().flat_map(move |(row, &cells)| {
+                let mut left = cells;
+                std::iter::from_fn(move || {
+                    let column = (left != 0).then(|| left.trailing_zeros())?;
+                    let count = (left >> column).trailing_ones();
+                    left &= u64::MAX.checked_shl(column + count).unwrap_or(0);
+                    Some((place.cell(column as usize, row), count as usize))
+                })
+            })
+        })
+    }
+
     /// The map as it is now.
     pub fn map(&mut self) -> Map {
         self.decide();
-        let frame = Frame::around(self.crossed().chain(self.cells().map(|(index, ..)| index)));
+        let ends = self.crossed_rows().flat_map(|(first, count)| {
+            let last = CellIndex { x: first.x + count as i32 - 1, ..first };
+            [first, last]
+        });
+        let frame = Frame::around(ends.chain(self.cells().map(|(index, ..)| index)));
         let mut map = frame.map(self.resolution);
-        for cell in self.crossed() {
-            map.occupancy[frame.place(cell)] = 0;
+        for (first, count) in self.crossed_rows() {
+            map.occupancy[frame.place(first)..][..count].fill(0);
         }
-        let mut bytes =
-            ["occupancy_count", "passes", "verdict", "image"].map(|name| (name, vec![0u8; frame.area()]));
+        let mut cells = Vec::new();
+        let mut bytes = ["occupancy_count", "passes", "verdict", "image"].map(|name| (name, Vec::new()));
         let mut words = [
             "hits",
             "visible_start",
@@ -91,9 +111,10 @@ impl Visagge {
             "missed_start",
             "missed_width",
         ]
-        .map(|name| (name, vec![0u16; frame.area()]));
+        .map(|name| (name, Vec::new()));
         for (index, cell, judgement) in self.cells() {
             let place = frame.place(index);
+            cells.push(place);
             if judgement.verdict.is_shown() {
                 map.occupancy[place] = 100;
                 map.visibility[place] = specularity(&cell);
@@ -104,7 +125,7 @@ impl Visagge {
                 judgement.verdict as u8,
                 judgement.image.number(),
             ]) {
-                layer[place] = value;
+                layer.push(value);
             }
             let too = if cell.visible_too.way >= 0.0 { cell.visible_too.range } else { Default::default() };
             let values = [
@@ -117,11 +138,13 @@ impl Visagge {
                 cell.missed.width,
             ];
             for ((_, layer), value) in words.iter_mut().zip(values) {
-                layer[place] = value;
+                layer.push(value);
             }
         }
-        map.layers.extend(bytes.map(|(name, values)| Layer { name, values: Values::U8(values) }));
-        map.layers.extend(words.map(|(name, values)| Layer { name, values: Values::U16(values) }));
+        let cells: Arc<[usize]> = cells.into();
+        let layer = |name, values| Layer { name, cells: Arc::clone(&cells), values };
+        map.layers.extend(bytes.map(|(name, values)| layer(name, Values::U8(values))));
+        map.layers.extend(words.map(|(name, values)| layer(name, Values::U16(values))));
         map
     }
 
@@ -163,15 +186,16 @@ where
 {
     let frame = Frame::around(cells().map(|(cell, ..)| cell));
     let mut map = frame.map(resolution);
-    let mut values = vec![0.0; frame.area()];
+    let (mut places, mut values) = (Vec::new(), Vec::new());
     for (cell, occupied, value) in cells() {
         let place = frame.place(cell);
         map.occupancy[place] = if occupied { 100 } else { 0 };
         if occupied {
             map.visibility[place] = 0;
         }
-        values[place] = value;
+        places.push(place);
+        values.push(value);
     }
-    map.layers.push(Layer { name: layer, values: Values::F32(values) });
+    map.layers.push(Layer { name: layer, cells: places.into(), values: Values::F32(values) });
     map
 }

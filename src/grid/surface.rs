@@ -3,6 +3,7 @@
 use super::{
     angle::{Angle, units},
     cell::Cell,
+    squares::Reach,
     tiles::{CellIndex, SIDE, TileIndex},
     verdict::is_solid,
     visagge::Visagge,
@@ -10,8 +11,9 @@ use super::{
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Cells around a tile whose surfaces reach into it.
-const MARGIN: i32 = 24;
-const WINDOW: i32 = SIDE + 2 * MARGIN;
+pub const MARGIN: i32 = 24;
+/// Cells along the side of a window.
+pub const WINDOW: i32 = SIDE + 2 * MARGIN;
 const _: () = assert!(WINDOW <= 128 && PATCH <= MARGIN);
 /// Half the side of the square in which the first patch is sought (cells).
 const PATCH: i32 = 8;
@@ -166,8 +168,12 @@ impl Window {
     }
 
     /// The surface through a cell, from the cells around it that were seen from the same direction, give or take
-    /// `same_view` (units of [`Angle`]): the patch of 0.8 m, or more of it along the line as far as it stays flat.
-    pub fn surface(&self, index: CellIndex, cell: &Cell, same_view: u32) -> Option<Line> {
+    /// `same_view` (units of [`Angle`]): the patch of 0.8 m, or more of it along the line as far as it stays flat. `reach` takes in
+    /// all cells that this depends on.
+    pub fn surface(&self, index: CellIndex, cell: &Cell, same_view: u32, reach: &mut Reach) -> Option<Line> {
+        let [x, y] = self.inside(index);
+        reach.extend([x - PATCH, y - PATCH]);
+        reach.extend([x + PATCH, y + PATCH]);
         let origin = cell.returns_at(index, self.resolution);
         let seen_from = cell.visible.range.middle();
         let (sin, cos) = seen_from.rad().sin_cos();
@@ -181,7 +187,7 @@ impl Window {
         }
         let patch = moments.line(origin)?;
         let long = self
-            .lengthened(&patch, origin, seen_from, same_view)
+            .lengthened(&patch, origin, seen_from, same_view, reach)
             .filter(|long| long.is_flat() && long.length > patch.length);
         let line = long.unwrap_or(patch);
         Some(Line { share: self.share(&line, index, seen_from), ..line })
@@ -205,7 +211,14 @@ impl Window {
     }
 
     /// The line through what lies along a patch, on both sides as far as the row does not break off.
-    fn lengthened(&self, patch: &Line, origin: [f64; 2], seen_from: Angle, same_view: u32) -> Option<Line> {
+    fn lengthened(
+        &self,
+        patch: &Line,
+        origin: [f64; 2],
+        seen_from: Angle,
+        same_view: u32,
+        reach: &mut Reach,
+    ) -> Option<Line> {
         if !patch.is_flat() {
             return None;
         }
@@ -220,9 +233,9 @@ impl Window {
                     let along = f64::from(step * side) * self.resolution;
                     let depth = f64::from(depth) * self.resolution;
                     let point = [start[0] - sin * along + cos * depth, start[1] + cos * along + sin * depth];
-                    let Some(neighbour) = self.at(CellIndex::of(point[0], point[1], self.resolution)) else {
-                        continue;
-                    };
+                    let index = CellIndex::of(point[0], point[1], self.resolution);
+                    reach.extend(self.inside(index));
+                    let Some(neighbour) = self.at(index) else { continue };
                     if neighbour.seen_from.distance(seen_from) <= same_view {
                         moments.add(
                             [neighbour.at[0] - origin[0], neighbour.at[1] - origin[1]],
@@ -240,8 +253,13 @@ impl Window {
         moments.line(origin)
     }
 
+    /// Column and row in the window.
+    fn inside(&self, index: CellIndex) -> [i32; 2] {
+        [index.x - self.origin.x, index.y - self.origin.y]
+    }
+
     fn slot(&self, index: CellIndex) -> Option<usize> {
-        let (x, y) = (index.x - self.origin.x, index.y - self.origin.y);
+        let [x, y] = self.inside(index);
         ((0..WINDOW).contains(&x) && (0..WINDOW).contains(&y)).then_some((y * WINDOW + x) as usize)
     }
 
@@ -251,7 +269,7 @@ impl Window {
 
     fn near(&self, index: CellIndex, seen_from: Angle, same_view: u32) -> impl Iterator<Item = &Neighbour> {
         // A tile's cells are farther from the window's border than that.
-        let (left, bottom) = (index.x - self.origin.x - PATCH, index.y - self.origin.y - PATCH);
+        let [left, bottom] = self.inside(index).map(|at| at - PATCH);
         (bottom..=bottom + 2 * PATCH)
             .flat_map(move |row| {
                 let mut found = self.rows[row as usize] >> left & ((2 << (2 * PATCH)) - 1);

@@ -22,7 +22,7 @@ pub struct CellIndex {
 impl CellIndex {
     /// The cell that holds the point (m) in a grid of this resolution (m).
     pub fn of(x: f64, y: f64, resolution: f64) -> CellIndex {
-        CellIndex { x: (x / resolution).floor() as i32, y: (y / resolution).floor() as i32 }
+        CellIndex { x: floor(x / resolution), y: floor(y / resolution) }
     }
 
     /// Place of the tile that holds the cell, and the cell's column and row in it.
@@ -30,6 +30,12 @@ impl CellIndex {
         let tile = TileIndex { x: self.x >> 6, y: self.y >> 6 };
         (tile, (self.x & 63) as usize, (self.y & 63) as usize)
     }
+}
+
+/// Rounded down; without SSE4.1, `f64::floor` is a call.
+fn floor(number: f64) -> i32 {
+    let whole = number as i32;
+    whole.saturating_sub(i32::from(f64::from(whole) > number))
 }
 
 /// Place of a tile: its lower left cell is at 64 times these.

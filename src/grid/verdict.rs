@@ -14,9 +14,11 @@ use super::{
     angle::units,
     cell::Cell,
     idea::Idea,
-    reflection::{self, Image, Opacity},
+    judge::{Judgement, Shape},
+    mirrors::Mirror,
+    squares::Reach,
     surface::{Line, OF_PILLAR, OF_PLANE, Window},
-    tiles::CellIndex,
+    tiles::{CellIndex, SIDE},
     visagge::{Evidence, Visagge, VisaggeSettings},
 };
 
@@ -55,19 +57,6 @@ impl Verdict {
     pub fn is_there(self) -> bool {
         self.is_shown() || self == Verdict::Beside
     }
-}
-
-/// What is judged of a cell, from its observations and those of the cells around.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Judgement {
-    /// The surface through it and its neighbours.
-    pub line: Option<Line>,
-    /// What its shape says of it: all of the verdict but whether it is an image.
-    pub shape: Verdict,
-    /// How it may be an image.
-    pub image: Image,
-    /// Whether it is shown as occupied, and why.
-    pub verdict: Verdict,
 }
 
 /// Occupancy below which a cell is a random reading: they come once in a thousand beams (paper III-B).
@@ -111,82 +100,28 @@ const GRAZING: f64 = 1.31;
 const OUTWEIGHS: f32 = 1.33;
 
 impl Visagge {
-    /// Judges all cells, from their observations alone: a verdict does not depend on the one before, so the map does not
-    /// depend on when it was asked for.
-    pub(super) fn judge(&mut self) {
-        for number in 0..self.tiles.len() {
-            self.judge_tile(number);
-        }
-        if self.settings.has(Idea::Gaps) {
-            self.bridge_gaps();
-        }
-        self.judge_images();
-        if self.settings.has(Idea::Thin) {
-            self.thin();
-        }
-    }
-
-    /// The cells of which this holds: the number of the tile, and that of the cell in it.
-    fn find(&self, holds: impl Fn(CellIndex, &Cell, &Judgement) -> bool) -> Vec<(usize, usize)> {
-        let mut found = Vec::new();
-        for number in 0..self.tiles.len() {
-            let place = self.tiles.place(number);
-            let Some(evidence) = &self.tiles.at(number).evidence else { continue };
-            for (at, (cell, judgement)) in evidence.cells.iter().zip(&evidence.judgements).enumerate() {
-                if holds(cell.index(place), &cell, judgement) {
-                    found.push((number, at));
-                }
-            }
-        }
-        found
-    }
-
-    /// Shows cells in the gaps of what is shown. A pane is seen cell by cell, for a few scans each: where somebody stands in
-    /// between, or two cells share a return, single ones have too little to be a surface by themselves.
-    fn bridge_gaps(&mut self) {
-        let bridged = self.find(|index, _, judgement| !judgement.shape.is_shown() && self.is_in_gap(index));
-        // Afterwards, so that no cell is held by one that is bridged itself.
-        for (number, at) in bridged {
-            let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("the cell is in it");
-            let [column, row] = evidence.cells.returns[at].place;
-            evidence.shown[usize::from(row)] |= 1 << column;
-            evidence.judgements[at].shape = Verdict::Bridged;
-        }
-    }
-
-    /// Whether two neighbouring cells that are shown lie near on both sides, along a row, a column or a diagonal.
-    fn is_in_gap(&self, index: CellIndex) -> bool {
+    /// Whether two neighbouring cells that are shown by themselves lie near on both sides, along a row, a column or a diagonal.
+    pub(super) fn is_in_gap(&self, index: CellIndex) -> bool {
         [(1, 0), (0, 1), (1, 1), (1, -1)].into_iter().any(|(x, y)| {
             [1, -1].into_iter().all(|side| {
                 let shown = |step: i32| {
-                    self.is_shown(CellIndex { x: index.x + x * side * step, y: index.y + y * side * step })
+                    let index = CellIndex { x: index.x + x * side * step, y: index.y + y * side * step };
+                    self.has(index, |evidence| &evidence.shaped)
                 };
                 (1..GAP).any(|step| shown(step) && shown(step + 1))
             })
         })
     }
 
-    fn is_shown(&self, index: CellIndex) -> bool {
+    /// Whether the bit of a cell is set.
+    fn has(&self, index: CellIndex, bits: impl Fn(&Evidence) -> &[u64; SIDE as usize]) -> bool {
         let (place, column, row) = index.split();
         let evidence = self.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
-        evidence.is_some_and(|evidence| evidence.shown[row] >> column & 1 == 1)
-    }
-
-    /// Draws surfaces one cell thick: ranges and poses spread the returns of a wall over cells one behind the other, and those
-    /// are shown that got the most.
-    fn thin(&mut self) {
-        let beside = self.find(|index, cell, judgement| {
-            judgement.verdict.is_shown() && self.is_outweighed(index, cell, judgement)
-        });
-        // Afterwards, so that a cell weighs the same in the verdict on all around it.
-        for (number, at) in beside {
-            let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("the cell is in it");
-            evidence.judgements[at].verdict = Verdict::Beside;
-        }
+        evidence.is_some_and(|evidence| bits(evidence)[row] >> column & 1 == 1)
     }
 
     /// Whether a cell that is shown, right before or behind this one, got clearly more returns.
-    fn is_outweighed(&self, index: CellIndex, cell: &Cell, judgement: &Judgement) -> bool {
+    pub(super) fn is_outweighed(&self, index: CellIndex, cell: &Cell, judgement: &Judgement) -> bool {
         let (x, y) = self.across(index, cell);
         [-2, -1, 1, 2].into_iter().any(|steps| {
             let (place, column, row) = CellIndex { x: index.x + steps * x, y: index.y + steps * y }.split();
@@ -195,9 +130,9 @@ impl Visagge {
                 let (more, less) = (f32::from(other.returns.hits), f32::from(cell.returns.hits));
                 // Two standard deviations of counts. A pane has few returns, and nothing stands right behind it that would be lost.
                 let is_certain = (more - less).powi(2) > 4.0 * (more + less);
-                judged.verdict.is_shown()
+                judged.unthinned.is_shown()
                     && more > OUTWEIGHS * less
-                    && (is_certain || judgement.verdict != Verdict::Solid)
+                    && (is_certain || judgement.unthinned != Verdict::Solid)
             })
         })
     }
@@ -208,7 +143,10 @@ impl Visagge {
         let (sin, cos) = cell.visible.range.middle().rad().sin_cos();
         let rows = [(1, 0), (1, 1), (0, 1), (-1, 1)].map(|(x, y)| {
             let in_row = |step: i32| CellIndex { x: index.x + step * x, y: index.y + step * y };
-            let shown = [-3, -2, -1, 1, 2, 3].into_iter().filter(|&step| self.is_shown(in_row(step))).count();
+            let shown = [-3, -2, -1, 1, 2, 3]
+                .into_iter()
+                .filter(|&step| self.has(in_row(step), |evidence| &evidence.shown))
+                .count();
             let along = f64::from(x) * cos + f64::from(y) * sin;
             let across_view = 1.0 - (along / f64::from(x).hypot(f64::from(y))).abs();
             (shown as f64 + across_view.min(0.999), (x, y))
@@ -217,78 +155,33 @@ impl Visagge {
         (-y, x)
     }
 
-    fn judge_images(&mut self) {
-        let mut opacity = Opacity::default();
-        for number in 0..self.tiles.len() {
-            let place = self.tiles.place(number);
-            let Some(evidence) = &self.tiles.at(number).evidence else { continue };
-            let judged = evidence.cells.iter().zip(&evidence.judgements);
-            let images: Vec<Image> = judged
-                .map(|(cell, judgement)| {
-                    let may_be = judgement.shape.is_shown() && self.settings.has(Idea::Images);
-                    if may_be { reflection::image(self, place, &cell) } else { Image::No }
-                })
-                .collect();
-            if self.settings.has(Idea::Opacity) {
-                images.iter().for_each(|image| opacity.vote(*image));
-            }
-            let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
-            for (judgement, image) in evidence.judgements.iter_mut().zip(images) {
-                judgement.image = image;
-            }
-        }
-        for number in 0..self.tiles.len() {
-            let judged =
-                self.tiles.at_mut(number).evidence.as_deref_mut().into_iter().flat_map(Evidence::judged);
-            for (_, judgement) in judged {
-                judgement.verdict =
-                    if opacity.is_image(judgement.image) { Verdict::Image } else { judgement.shape };
-            }
-        }
-    }
-
-    /// Judges the cells of a tile by their own observations and their neighbours'.
-    fn judge_tile(&mut self, number: usize) {
-        let place = self.tiles.place(number);
-        if self.tiles.at(number).evidence.is_none() {
-            return;
-        }
-        let window = Window::around(self, place);
-        let Visagge { settings, tiles, .. } = self;
-        let evidence = tiles.at_mut(number).evidence.as_mut().expect("tested above");
-        evidence.shown = [0; 64];
-        evidence.mirrors = [0; 64];
-        evidence.has_mirrors = false;
-        for (cell, judgement) in evidence.cells.iter().zip(&mut evidence.judgements) {
-            // Of what is shown in any case and nothing is seen through, the surface does not matter.
-            let is_shown = shape(&cell, None, settings).is_shown();
-            let is_seen_through = u32::from(cell.missed.width) >= units(SEEN_THROUGH);
-            let matters = cell.returns.occupancy >= LEAST_HITS && (!is_shown || is_seen_through);
-            let line = if matters {
-                let index = cell.index(place);
-                let plane = window.surface(index, &cell, units(OF_PLANE));
-                plane
-                    .filter(|line| explains(line, &cell, settings) && settings.has(Idea::PlanesFirst))
-                    .or_else(|| window.surface(index, &cell, units(OF_PILLAR)))
-            } else {
-                None
-            };
-            *judgement =
-                Judgement { line, shape: shape(&cell, line.as_ref(), settings), ..Judgement::default() };
-            let [column, row] = cell.returns.place;
-            if judgement.shape.is_shown() {
-                evidence.shown[usize::from(row)] |= 1 << column;
-                if is_seen_through && line.is_some_and(|line| line.is_flat()) {
-                    evidence.mirrors[usize::from(row)] |= 1 << column;
-                    evidence.has_mirrors = true;
-                }
-            }
-        }
-        let mirrors = &evidence.mirrors;
-        evidence.near_mirrors = std::array::from_fn(|row| {
-            let beside = [row.wrapping_sub(1), row + 1].map(|row| mirrors.get(row).copied().unwrap_or(0));
-            mirrors[row] | mirrors[row] << 1 | mirrors[row] >> 1 | beside[0] | beside[1]
-        });
+    /// What the shape of a cell's neighbourhood says of it, in the window around its tile.
+    pub(super) fn judge_shape<'a>(
+        &self,
+        index: CellIndex,
+        cell: &Cell,
+        window: impl FnOnce() -> &'a Window,
+    ) -> Shape {
+        let settings = &self.settings;
+        // Of what is shown in any case and nothing is seen through, the surface does not matter.
+        let is_shown = shape(cell, None, settings).is_shown();
+        let is_seen_through = u32::from(cell.missed.width) >= units(SEEN_THROUGH);
+        let matters = cell.returns.occupancy >= LEAST_HITS && (!is_shown || is_seen_through);
+        let mut reach = Reach::at(cell.returns.place);
+        let line = if matters {
+            let window = window();
+            let plane = window.surface(index, cell, units(OF_PLANE), &mut reach);
+            plane
+                .filter(|line| explains(line, cell, settings) && settings.has(Idea::PlanesFirst))
+                .or_else(|| window.surface(index, cell, units(OF_PILLAR), &mut reach))
+        } else {
+            None
+        };
+        let verdict = shape(cell, line.as_ref(), settings);
+        let mirror = line
+            .filter(|line| verdict.is_shown() && is_seen_through && line.is_flat())
+            .map(|line| Mirror { line, visible: cell.visible.range });
+        Shape { verdict, mirror, reach }
     }
 }
 
@@ -341,16 +234,12 @@ fn shape(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> Verdic
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        grid::{
-            angle::{Angle, AngleRange},
-            cell::Returns,
-            sweep::{Sweep, tests::half_circle},
-            tiles::TileIndex,
-            track::Track,
-            visagge::VisaggeSettings,
-        },
-        pose::pose,
+    use crate::grid::{
+        angle::{Angle, AngleRange},
+        cell::Returns,
+        tiles::TileIndex,
+        track::Track,
+        visagge::VisaggeSettings,
     };
 
     #[test]
@@ -409,28 +298,12 @@ mod tests {
                 (returns, Track::default())
             });
             evidence.fill(cells);
-            evidence.judgements.fill(Judgement { verdict: Verdict::Solid, ..Judgement::default() });
-            grid.thin();
+            evidence.judgements.iter_mut().for_each(|judgement| judgement.unthinned = Verdict::Solid);
+            grid.thin_all();
             grid.cells().map(|(.., judgement)| u8::from(judgement.verdict.is_shown())).collect::<Vec<_>>()
         };
         assert_eq!(drawn(&[3, 20, 80, 30, 2]), [0, 0, 1, 0, 0]);
         assert_eq!(drawn(&[3, 40, 50, 2]), [0, 1, 1, 0], "along the border of both");
         assert_eq!(drawn(&[90, 0, 0, 9]), [1, 0, 0, 1], "another surface");
-    }
-
-    #[test]
-    fn the_map_does_not_depend_on_when_it_was_asked_for() {
-        let [mut often, mut once] = [(); 2].map(|()| Visagge::new(0.05, VisaggeSettings::default()));
-        // Seen from one place, then missed from another, with nothing else to see but far away.
-        for (seq, (x, range)) in [(0.0, 2.0), (0.0, 2.0), (0.0, 2.0), (1.0, 25.0)].into_iter().enumerate() {
-            let scan = half_circle(seq as u64, vec![range; 361]);
-            let at = pose(x, 0.0, 0.0);
-            let sweep = Sweep { scan: &scan, start: at, end: at };
-            often.insert(&sweep);
-            once.insert(&sweep);
-            let shown = often.map().occupancy.iter().filter(|cell| **cell == 100).count();
-            assert!(seq == 0 || shown > 0, "{seq}");
-        }
-        assert!(often.map() == once.map());
     }
 }

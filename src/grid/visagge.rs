@@ -9,15 +9,18 @@ use super::{
     cells::{self, Cells},
     free::Outline,
     idea::Idea,
+    judge::Judgement,
     lanes::{self, Path, Sights},
+    mirrors::Mirrors,
     near::{Near, Turns},
     rays::Rays,
+    reflection::{Block, Opacity, Sources},
     saved::PAUSE_NS,
     slots::Slots,
+    squares::Squares,
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
     track::{LANES, Look, Track, distance_units},
-    verdict::Judgement,
     view::{Lens, Place, Tolerance, View},
 };
 use serde::{Deserialize, Serialize};
@@ -109,21 +112,29 @@ impl VisaggeSettings {
 /// The cells with evidence in a tile.
 #[derive(Clone, Debug)]
 pub(super) struct Evidence {
-    slots: Slots,
+    pub(super) slots: Slots,
     pub(super) cells: Cells,
     /// The last scan that these were compared with, and the number of their turn.
     looked_scan: u32,
     looked_turn: i32,
     /// What was last judged of each of `cells`.
     pub(super) judgements: Vec<Judgement>,
-    /// A bit for each cell that is shown unless it is an image, a word a row.
+    /// Whether they were hit or looked at since.
+    pub(super) is_touched: bool,
+    /// Squares out of which cells were taken since.
+    pub(super) emptied: Squares,
+    /// A bit for each cell that is shown by itself unless it is an image, a word a row.
+    pub(super) shaped: [u64; SIDE as usize],
+    /// The same with gaps bridged.
     pub(super) shown: [u64; SIDE as usize],
-    /// A bit for each of these that something may be seen through or in, a word a row.
-    pub(super) mirrors: [u64; SIDE as usize],
-    /// A bit for each cell that is one of these or beside one, a word a row.
-    pub(super) near_mirrors: [u64; SIDE as usize],
-    /// Whether there is any such cell.
-    pub(super) has_mirrors: bool,
+    /// Those of these that something may be seen through or in.
+    pub(super) mirrors: Option<Box<Mirrors>>,
+    /// What the images among the cells were judged by.
+    pub(super) sources: Sources,
+    /// What is seen through surfaces in these cells.
+    pub(super) votes: Opacity,
+    /// The blocks of `votes` that were opaque.
+    pub(super) opaque: Vec<Block>,
 }
 
 impl Default for Evidence {
@@ -134,10 +145,14 @@ impl Default for Evidence {
             looked_scan: 0,
             looked_turn: 0,
             judgements: Vec::new(),
+            is_touched: true,
+            emptied: Squares::default(),
+            shaped: [0; SIDE as usize],
             shown: [0; SIDE as usize],
-            mirrors: [0; SIDE as usize],
-            near_mirrors: [0; SIDE as usize],
-            has_mirrors: false,
+            mirrors: None,
+            sources: Sources::default(),
+            votes: Opacity::default(),
+            opaque: Vec::new(),
         }
     }
 }
@@ -158,7 +173,7 @@ impl Evidence {
     fn look(&mut self, scan: u32, turn: i32) -> (bool, u16) {
         let scans = scan - self.looked_scan;
         let follows = scans <= 1 || turn.wrapping_sub(self.looked_turn) <= 1;
-        (self.looked_scan, self.looked_turn) = (scan, turn);
+        (self.looked_scan, self.looked_turn, self.is_touched) = (scan, turn, true);
         (follows, if follows { scans.min(u32::from(u16::MAX)) as u16 } else { 1 })
     }
 
@@ -167,19 +182,6 @@ impl Evidence {
         for (returns, track) in cells {
             self.add(returns, Track { place: place_of(returns.place) | track.place, ..track });
         }
-    }
-
-    /// The cell in this column and row, or beside, if something may be seen through it or in it.
-    pub(super) fn mirror_at(&self, column: usize, row: usize) -> Option<(Cell, &Judgement)> {
-        if self.near_mirrors[row] >> column & 1 == 0 {
-            return None;
-        }
-        let beside = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
-        let (column, row) =
-            beside.into_iter().map(|(x, y)| (column as i32 + x, row as i32 + y)).find(|&(x, y)| {
-                (0..SIDE).contains(&x) && (0..SIDE).contains(&y) && self.mirrors[y as usize] >> x & 1 == 1
-            })?;
-        self.at(column as usize, row as usize)
     }
 
     /// The cell in this column and row, with what was last judged of it.
@@ -199,6 +201,10 @@ impl Evidence {
             + self.slots.bytes()
             + self.cells.bytes()
             + self.judgements.capacity() * size_of::<Judgement>()
+            + self.mirrors.as_ref().map_or(0, |mirrors| mirrors.bytes())
+            + self.sources.bytes()
+            + self.votes.bytes()
+            + self.opaque.capacity() * size_of::<Block>()
     }
 
     fn retain(&mut self, keep: impl Fn(&Returns) -> bool) {
@@ -209,6 +215,7 @@ impl Evidence {
                 continue;
             }
             self.slots.clear(place_of(returns.place));
+            self.emptied.insert(returns.place);
             self.cells.swap_remove(number);
             self.judgements.swap_remove(number);
             if let Some(moved) = self.cells.returns.get(number) {
@@ -218,7 +225,7 @@ impl Evidence {
     }
 }
 
-fn place_of([column, row]: [u8; 2]) -> Place {
+pub(super) fn place_of([column, row]: [u8; 2]) -> Place {
     Place::from(row) << 6 | Place::from(column)
 }
 
@@ -258,11 +265,13 @@ pub(super) struct Tile {
     pub(super) free: [u64; SIDE as usize],
     /// The cells in which returns have landed.
     pub(super) evidence: Option<Box<Evidence>>,
+    /// Sum of the words of `free` when last judged: since bits are only ever set, it has grown where any was.
+    pub(super) judged_free: u128,
 }
 
 impl Default for Tile {
     fn default() -> Self {
-        Tile { free: [0; SIDE as usize], evidence: None }
+        Tile { free: [0; SIDE as usize], evidence: None, judged_free: 0 }
     }
 }
 
@@ -420,6 +429,7 @@ impl Visagge {
                 recent = (place, tiles.find_or_make(TileIndex { x: base.x + place.x, y: base.y + place.y }));
                 was_hit.resize(tiles.len(), false);
                 was_hit[recent.1] = true;
+                tiles.at_mut(recent.1).evidence.get_or_insert_default().is_touched = true;
             }
             let tile = tiles.at_mut(recent.1);
             let evidence = tile.evidence.get_or_insert_default();

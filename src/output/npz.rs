@@ -20,8 +20,8 @@ pub fn encode(map: &Map) -> zip::result::ZipResult<Vec<u8>> {
     add(&mut zip, "occupancy", "|i1", &cells, &bytes_of(&map.occupancy))?;
     add(&mut zip, "visibility", "|i1", &cells, &bytes_of(&map.visibility))?;
     for layer in &map.layers {
-        let (dtype, data) = match &layer.values {
-            Values::U8(values) => ("|u1", values.clone()),
+        let (dtype, data) = match layer.spread(map.occupancy.len()) {
+            Values::U8(values) => ("|u1", values),
             Values::U16(values) => ("<u2", values.iter().flat_map(|value| value.to_le_bytes()).collect()),
             Values::F32(values) => ("<f4", values.iter().flat_map(|value| value.to_le_bytes()).collect()),
         };

@@ -109,7 +109,7 @@ pub fn encode(map: &Map) -> Result<Vec<u8>, png::EncodingError> {
 /// The bytes of explain.png: each cell with evidence in the colour of its verdict. `None` where the map has none.
 pub fn encode_explained(map: &Map) -> Option<Result<Vec<u8>, png::EncodingError>> {
     let layer = map.layers.iter().find(|layer| layer.name == "verdict")?;
-    let Values::U8(verdicts) = &layer.values else { return None };
+    let Values::U8(verdicts) = layer.spread(map.occupancy.len()) else { return None };
     let canvas = draw(map, |index| match (verdicts[index], map.occupancy[index]) {
         (0, -1) => UNKNOWN,
         (0, _) => FREE,
@@ -243,6 +243,7 @@ mod tests {
             visibility: vec![-1; VERDICTS.len()],
             layers: vec![Layer {
                 name: "verdict",
+                cells: (0..VERDICTS.len()).collect(),
                 values: Values::U8(VERDICTS.iter().map(|(verdict, _)| *verdict as u8).collect()),
             }],
         };

@@ -52,11 +52,12 @@ pub fn wrong_cells(map: &Map, truth: &TruthMap, score: &Score) -> String {
     text.collect::<Vec<_>>().join("; ") + &lost
 }
 
-fn layer<'a>(map: &'a Map, name: &str) -> Option<&'a [u8]> {
-    map.layers.iter().find(|layer| layer.name == name).and_then(|layer| match &layer.values {
-        Values::U8(values) => Some(values.as_slice()),
+fn layer(map: &Map, name: &str) -> Option<Vec<u8>> {
+    let layer = map.layers.iter().find(|layer| layer.name == name)?;
+    match layer.spread(map.occupancy.len()) {
+        Values::U8(values) => Some(values),
         _ => None,
-    })
+    }
 }
 
 /// As [`Verdict::is_shown`], by number.

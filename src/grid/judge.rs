@@ -1,0 +1,343 @@
+//! What is judged anew when a map is asked for: what may have become another verdict since the last one, and no more.
+//!
+//! A verdict ([`super::verdict`]) is reached in steps: the shape of a cell's neighbourhood, gaps, images, surfaces drawn one cell
+//! thick. What each step makes of a cell is kept, and made anew where something has changed that the step looks at. So the map is,
+//! bit by bit, the one of who judges everything anew, no matter when maps were asked for.
+//!
+//! - Shape: the cell and its neighbours, as far as its [`Reach`] goes.
+//! - Gaps: what is shown by its shape in the tile and those around.
+//! - Images: the cell's own view angles, the mirrors in the tiles that its lines of sight cross, and what is shown and free in those where
+//!   its original would stand ([`Sources`]); then, which surfaces are opaque.
+//! - Thickness: all of this in the tile and those around.
+//!
+//! That a cell has changed is told by its [fingerprint](super::cell::Cell::fingerprint).
+
+use super::{
+    idea::Idea,
+    mirrors::{Mirror, Mirrors},
+    reflection::{self, Image, Opacity, Sources},
+    squares::{Reach, Squares, SquaresAround},
+    surface::Window,
+    tiles::TileIndex,
+    verdict::Verdict,
+    visagge::{Evidence, Tile, Visagge, place_of},
+};
+use std::cell::OnceCell;
+
+/// What is judged of a cell, from its observations and those of the cells around.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Judgement {
+    /// Of the cell when it was judged.
+    fingerprint: u64,
+    /// The cells that `shape` depends on.
+    reach: Reach,
+    /// How it may be an image.
+    pub image: Image,
+    /// Whether `image` has to be judged anew.
+    image_is_due: bool,
+    /// What its shape says of it.
+    shape: Verdict,
+    /// The same with gaps bridged.
+    bridged: Verdict,
+    /// The same with images.
+    pub unthinned: Verdict,
+    /// Whether it is shown as occupied, and why.
+    pub verdict: Verdict,
+}
+
+/// What the shape of its neighbourhood says of a cell.
+pub(super) struct Shape {
+    /// All of the verdict but whether it is in a gap, an image, or beside another cell.
+    pub verdict: Verdict,
+    /// What there is for images, where something may be seen through it or in it.
+    pub mirror: Option<Mirror>,
+    /// The cells that this depends on.
+    pub reach: Reach,
+}
+
+/// What has changed in a tile since it was last judged.
+#[derive(Clone, Copy, Debug, Default)]
+struct Change {
+    /// Where cells are no longer as they were.
+    cells: Squares,
+    /// Whether a beam has crossed cells that none had crossed before.
+    free: bool,
+    /// Whether shapes were judged anew, or cells have gone.
+    judged: bool,
+    /// Whether other cells are shown by themselves.
+    shaped: bool,
+    /// Whether other cells are mirrors, or in another way.
+    mirrors: bool,
+    /// Whether other cells are shown, gaps bridged.
+    shown: bool,
+    /// Whether a cell's verdict is another, but for how thick surfaces are drawn.
+    unthinned: bool,
+}
+
+/// Of each tile, by its number.
+pub(super) struct Changes(Vec<Change>);
+
+impl Visagge {
+    /// Judges all cells of which the verdict may have changed.
+    pub(super) fn judge(&mut self) {
+        let mut changes = self.changes();
+        self.judge_shapes(&mut changes);
+        self.bridge_gaps(&mut changes);
+        self.judge_images(&mut changes);
+        self.judge_opacity(&mut changes);
+        self.thin(&changes);
+    }
+
+    /// What has changed in cells; all else follows.
+    fn changes(&mut self) -> Changes {
+        let numbers = 0..self.tiles.len();
+        let change = |number| {
+            let tile: &mut Tile = self.tiles.at_mut(number);
+            let free: u128 = tile.free.iter().map(|&row| u128::from(row)).sum();
+            let before = std::mem::replace(&mut tile.judged_free, free);
+            let cells = tile.evidence.as_mut().map(|evidence| evidence.changed()).unwrap_or_default();
+            Change { cells, free: free != before, ..Change::default() }
+        };
+        Changes(numbers.map(change).collect())
+    }
+
+    /// What has changed in the tile at a place; nothing where there is none.
+    fn change(&self, changes: &Changes, place: TileIndex) -> Change {
+        self.tiles.find(place).map(|number| changes.0[number]).unwrap_or_default()
+    }
+
+    /// Whether this holds of the tile or one of those around.
+    fn any_around(&self, changes: &Changes, number: usize, holds: impl Fn(&Change) -> bool) -> bool {
+        let TileIndex { x, y } = self.tiles.place(number);
+        let around = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| TileIndex { x: x + dx, y: y + dy }));
+        around.into_iter().any(|place| holds(&self.change(changes, place)))
+    }
+
+    /// Judges cells by their own observations and their neighbours'.
+    fn judge_shapes(&mut self, changes: &mut Changes) {
+        for number in 0..self.tiles.len() {
+            let place = self.tiles.place(number);
+            let around = SquaresAround::of(place, |place| self.change(changes, place).cells);
+            let Some(evidence) = self.tiles.at(number).evidence.as_ref().filter(|_| !around.is_empty())
+            else {
+                continue;
+            };
+            let window = OnceCell::new();
+            let shapes: Vec<(usize, Shape)> = evidence
+                .judgements
+                .iter()
+                .enumerate()
+                .filter(|(_, judged)| judged.shape == Verdict::None || around.touch(judged.reach))
+                .map(|(at, _)| {
+                    let cell = evidence.cells.get(at);
+                    let window = || window.get_or_init(|| Window::around(self, place));
+                    (at, self.judge_shape(cell.index(place), &cell, window))
+                })
+                .collect();
+            let change = &mut changes.0[number];
+            if !shapes.is_empty() || !change.cells.is_empty() {
+                let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
+                evidence.take_shapes(shapes, change);
+            }
+        }
+    }
+
+    /// Shows cells in the gaps of what is shown. A pane is seen cell by cell, for a few scans each: where somebody stands in
+    /// between, or two cells share a return, single ones have too little to be a surface by themselves.
+    fn bridge_gaps(&mut self, changes: &mut Changes) {
+        for number in 0..self.tiles.len() {
+            if !changes.0[number].judged && !self.any_around(changes, number, |change| change.shaped) {
+                continue;
+            }
+            let place = self.tiles.place(number);
+            let Some(evidence) = &self.tiles.at(number).evidence else { continue };
+            let cells = evidence.cells.returns.iter().zip(&evidence.judgements);
+            let bridged: Vec<Verdict> = cells
+                .map(|(returns, judgement)| {
+                    let [column, row] = returns.place.map(usize::from);
+                    let is_bridged = !judgement.shape.is_shown()
+                        && self.settings.has(Idea::Gaps)
+                        && self.is_in_gap(place.cell(column, row));
+                    if is_bridged { Verdict::Bridged } else { judgement.shape }
+                })
+                .collect();
+            let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
+            evidence.take_bridged(bridged, &mut changes.0[number]);
+        }
+    }
+
+    /// Tells which cells that are shown may be images.
+    fn judge_images(&mut self, changes: &mut Changes) {
+        for number in 0..self.tiles.len() {
+            let place = self.tiles.place(number);
+            let Some(evidence) = &self.tiles.at(number).evidence else { continue };
+            let Sources { crossed, sought } = &evidence.sources;
+            let all = crossed.iter().any(|place| self.change(changes, place).mirrors)
+                || sought.iter().any(|place| {
+                    let change = self.change(changes, place);
+                    change.shown || change.free
+                });
+            let mut sources = if all { Sources::default() } else { evidence.sources.clone() };
+            let images: Vec<(usize, Image)> = evidence
+                .judgements
+                .iter()
+                .enumerate()
+                .filter(|(_, judgement)| all || judgement.image_is_due)
+                .map(|(at, judgement)| {
+                    let may_be = judgement.bridged.is_shown() && self.settings.has(Idea::Images);
+                    let image = if may_be {
+                        reflection::image(self, place, &evidence.cells.get(at), &mut sources)
+                    } else {
+                        Image::No
+                    };
+                    (at, image)
+                })
+                .collect();
+            if !images.is_empty() {
+                let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
+                evidence.sources = sources;
+                evidence.take_images(images);
+                changes.0[number].judged = true;
+            }
+        }
+    }
+
+    /// Tells which of these are images.
+    fn judge_opacity(&mut self, changes: &mut Changes) {
+        let mut opacity = Opacity::default();
+        for number in 0..self.tiles.len() {
+            let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
+            if changes.0[number].judged {
+                evidence.count_votes();
+            }
+            if self.settings.has(Idea::Opacity) {
+                opacity.add(&evidence.votes);
+            }
+        }
+        for (number, change) in changes.0.iter_mut().enumerate() {
+            let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
+            let opaque = opacity.opaque(&evidence.votes);
+            if change.judged || opaque != evidence.opaque {
+                evidence.opaque = opaque;
+                for judgement in &mut evidence.judgements {
+                    let is_image = opacity.is_image(judgement.image);
+                    let verdict = if is_image { Verdict::Image } else { judgement.bridged };
+                    change.unthinned |= verdict != judgement.unthinned;
+                    judgement.unthinned = verdict;
+                }
+            }
+        }
+    }
+
+    /// Draws surfaces one cell thick: ranges and poses spread the returns of a wall over cells one behind the other, and those
+    /// are shown that got the most.
+    fn thin(&mut self, changes: &Changes) {
+        for number in 0..self.tiles.len() {
+            let matters = |change: &Change| !change.cells.is_empty() || change.unthinned || change.shown;
+            if !self.any_around(changes, number, matters) {
+                continue;
+            }
+            let place = self.tiles.place(number);
+            let Some(evidence) = &self.tiles.at(number).evidence else { continue };
+            let cells = evidence.cells.iter().zip(&evidence.judgements);
+            let verdicts: Vec<Verdict> = cells
+                .map(|(cell, judgement)| {
+                    let is_beside = judgement.unthinned.is_shown()
+                        && self.settings.has(Idea::Thin)
+                        && self.is_outweighed(cell.index(place), &cell, judgement);
+                    if is_beside { Verdict::Beside } else { judgement.unthinned }
+                })
+                .collect();
+            let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
+            for (judgement, verdict) in evidence.judgements.iter_mut().zip(verdicts) {
+                judgement.verdict = verdict;
+            }
+        }
+    }
+}
+
+impl Evidence {
+    /// The squares in which cells have changed since this was last asked.
+    fn changed(&mut self) -> Squares {
+        let mut changed = std::mem::take(&mut self.emptied);
+        if std::mem::take(&mut self.is_touched) {
+            for (cell, judgement) in self.judged() {
+                let fingerprint = cell.fingerprint();
+                if fingerprint != judgement.fingerprint {
+                    changed.insert(cell.returns.place);
+                    judgement.fingerprint = fingerprint;
+                    judgement.image_is_due = true;
+                }
+            }
+        }
+        changed
+    }
+
+    fn take_shapes(&mut self, shapes: Vec<(usize, Shape)>, change: &mut Change) {
+        let mut mirrors = self.mirrors.take().map(|mirrors| mirrors.into_all()).unwrap_or_default();
+        for (number, Shape { verdict, mirror, reach }) in shapes {
+            let judgement = &mut self.judgements[number];
+            (judgement.shape, judgement.reach) = (verdict, reach);
+            let place = place_of(self.cells.returns[number].place);
+            let before = match mirror {
+                Some(mirror) => mirrors.insert(place, mirror),
+                None => mirrors.remove(&place),
+            };
+            change.mirrors |= before != mirror;
+        }
+        let count = mirrors.len();
+        mirrors.retain(|place, _| self.slots.get(*place).is_some());
+        change.mirrors |= mirrors.len() != count;
+        self.mirrors = Mirrors::of(mirrors).map(Box::new);
+        let shaped = self.rows(|judgement| judgement.shape.is_shown());
+        change.shaped = shaped != self.shaped;
+        change.judged = true;
+        self.shaped = shaped;
+    }
+
+    fn take_bridged(&mut self, bridged: Vec<Verdict>, change: &mut Change) {
+        for (judgement, bridged) in self.judgements.iter_mut().zip(bridged) {
+            judgement.image_is_due |= bridged.is_shown() != judgement.bridged.is_shown();
+            judgement.bridged = bridged;
+        }
+        let shown = self.rows(|judgement| judgement.bridged.is_shown());
+        change.shown = shown != self.shown;
+        change.judged = true;
+        self.shown = shown;
+    }
+
+    fn take_images(&mut self, images: Vec<(usize, Image)>) {
+        for (number, image) in images {
+            let judgement = &mut self.judgements[number];
+            (judgement.image, judgement.image_is_due) = (image, false);
+        }
+    }
+
+    fn count_votes(&mut self) {
+        self.votes = Opacity::default();
+        self.judgements.iter().for_each(|judgement| self.votes.vote(judgement.image));
+    }
+
+    /// A bit for each cell of which this holds, a word a row.
+    fn rows(&self, holds: impl Fn(&Judgement) -> bool) -> [u64; 64] {
+        let mut rows = [0; 64];
+        for (returns, judgement) in self.cells.returns.iter().zip(&self.judgements) {
+            let [column, row] = returns.place;
+            rows[usize::from(row)] |= u64::from(holds(judgement)) << column;
+        }
+        rows
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    impl Visagge {
+        /// Only the last step, for all cells.
+        pub fn thin_all(&mut self) {
+            let all = Change { unthinned: true, ..Change::default() };
+            self.thin(&Changes(vec![all; self.tiles.len()]));
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! Squares of 8 x 8 cells: how finely it is known where something has changed, and how far what is judged of a cell reaches.
+
+use super::{
+    surface::{MARGIN, WINDOW},
+    tiles::{SIDE, TileIndex},
+};
+
+/// Squares along the side of a tile, of its margin, and of both margins and it.
+const IN_TILE: i32 = SIDE / 8;
+const IN_MARGIN: i32 = MARGIN / 8;
+const IN_WINDOW: usize = WINDOW as usize / 8;
+const _: () = assert!(MARGIN % 8 == 0 && IN_MARGIN <= IN_TILE && IN_WINDOW <= 16);
+
+/// Some of a tile's squares.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Squares(u64);
+
+impl Squares {
+    /// Takes in the square that holds the cell in this column and row.
+    pub fn insert(&mut self, [column, row]: [u8; 2]) {
+        self.0 |= 1 << (row & 0o70 | column >> 3);
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+}
+
+/// Some of the squares in a window around a tile ([`super::surface::Window`]).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SquaresAround {
+    /// A bit for each, a word a row.
+    rows: [u16; IN_WINDOW],
+}
+
+impl SquaresAround {
+    /// Those of these tiles.
+    pub fn of(place: TileIndex, squares: impl Fn(TileIndex) -> Squares) -> SquaresAround {
+        let mut around = SquaresAround::default();
+        for (dx, dy) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))) {
+            let Squares(bits) = squares(TileIndex { x: place.x + dx, y: place.y + dy });
+            for (row, bits) in (0..).zip(bits.to_le_bytes()) {
+                let row = IN_MARGIN + dy * IN_TILE + row;
+                if let Some(row) = usize::try_from(row).ok().and_then(|row| around.rows.get_mut(row)) {
+                    // One tile to the left of the window's border, and cut at both of its borders.
+                    let bits = u64::from(bits) << ((dx + 1) * IN_TILE);
+                    *row |= (bits >> (IN_TILE - IN_MARGIN)) as u16 & (u16::MAX >> (16 - IN_WINDOW));
+                }
+            }
+        }
+        around
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.rows == [0; IN_WINDOW]
+    }
+
+    /// Whether one of them is within reach.
+    pub fn touch(&self, reach: Reach) -> bool {
+        let [(left, right), (bottom, top)] =
+            [0, 1].map(|axis| (usize::from(reach.low[axis] >> 3), usize::from(reach.high[axis] >> 3)));
+        let columns = (2 << right) - (1 << left);
+        self.rows[bottom..=top].iter().any(|row| u32::from(*row) & columns != 0)
+    }
+}
+
+/// The smallest rectangle that holds all cells that something was judged by. Columns and rows are those of the window.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Reach {
+    low: [u8; 2],
+    high: [u8; 2],
+}
+
+impl Reach {
+    /// A single cell of the tile in the middle of the window.
+    pub fn at(cell: [u8; 2]) -> Reach {
+        let at = cell.map(|at| at + MARGIN as u8);
+        Reach { low: at, high: at }
+    }
+
+    /// Takes in a cell; what lies beyond the window is never looked at.
+    pub fn extend(&mut self, [x, y]: [i32; 2]) {
+        if (0..WINDOW).contains(&x) && (0..WINDOW).contains(&y) {
+            for (axis, at) in [x as u8, y as u8].into_iter().enumerate() {
+                self.low[axis] = self.low[axis].min(at);
+                self.high[axis] = self.high[axis].max(at);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn squares_of_nine_tiles_are_found_where_they_are_within_reach() {
+        let middle = TileIndex { x: -3, y: 8 };
+        // In the tile to the lower left the last square but three and the one before it; in the middle one the first.
+        let around = SquaresAround::of(middle, |place| {
+            let mut squares = Squares::default();
+            match (place.x - middle.x, place.y - middle.y) {
+                (-1, -1) => [[40, 63], [39, 63]].into_iter().for_each(|cell| squares.insert(cell)),
+                (0, 0) => squares.insert([7, 0]),
+                _ => (),
+            }
+            squares
+        });
+        let touches = |cell: [u8; 2], others: &[[i32; 2]]| {
+            let mut reach = Reach::at(cell);
+            others.iter().for_each(|other| reach.extend(*other));
+            around.touch(reach)
+        };
+        assert!(touches([0, 7], &[]) && !touches([8, 0], &[]) && !touches([0, 8], &[]));
+        assert!(touches([20, 9], &[[31, 40], [24, 24]]), "the first of its own tile");
+        assert!(touches([63, 63], &[[7, 23]]) && !touches([63, 63], &[[7, 32]]), "the one to the lower left");
+        assert!(!touches([9, 9], &[[-1, 0], [0, 112]]), "beyond the window");
+        assert!(SquaresAround::of(middle, |_| Squares::default()).is_empty() && !around.is_empty());
+    }
+}
