@@ -14,6 +14,7 @@ use super::{
     visagge::Visagge,
 };
 use std::collections::BTreeMap;
+use std::f64::consts::SQRT_2;
 
 /// Parts of the range of view angles from which the line of sight is looked at, the most telling first. The very ends look
 /// past the edges of the surface that reflects, where a cell's error decides.
@@ -219,8 +220,13 @@ fn explained(
         }
         let block = (index.x.div_euclid(BLOCK), index.y.div_euclid(BLOCK));
         let mirrored = line.mirror(point);
-        let to_sensor = (mirrored[0] - sensor[0]).hypot(mirrored[1] - sensor[1]);
+        let distance_to = |[x, y]: [f64; 2]| (mirrored[0] - x).hypot(mirrored[1] - y);
         let tolerance = (PLACE + 2.0 * DIRECTION * (range - distance)).min(WIDEST);
+        // What lies in the plane of a mirror would be its own original.
+        if distance_to(point) <= SQRT_2 * tolerance {
+            return false;
+        }
+        let to_sensor = distance_to(sensor);
         let explains = to_sensor <= BODY + tolerance || grid.is_mapped_near(mirrored, tolerance, sought);
         let by_glass =
             range <= SEES * glass_reflects(line.off_normal(bearing)) || !grid.settings.has(Idea::Fresnel);
