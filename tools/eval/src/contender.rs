@@ -35,7 +35,7 @@ pub fn each_idea() -> Vec<Override> {
         key: "without".into(),
         value: vec![toml::Value::try_from(idea).expect("an idea is a name")].into(),
     };
-    let settings = [("two_ranges", false.into()), ("body_radius", 0.0.into())];
+    let settings = [("two_ranges", false.into()), ("body_radius", 0.0.into()), ("look_every", 0.0.into())];
     let settings = settings.map(|(key, value)| Override { key: key.into(), value });
     Idea::ALL.iter().map(without).chain(settings).collect()
 }
