@@ -94,15 +94,20 @@ enum Happening {
     Pose(StampedPose),
 }
 
-/// `scans` scans in chunks as a port gives them, poses at 20 Hz with jitter and one jump, a cut reply, a reconnection.
-fn happenings(scans: i64) -> Vec<Happening> {
-    let mut device = Device { random: 7 };
-    let mut all = vec![
+/// What is said before the first scan.
+fn opening() -> Vec<Happening> {
+    vec![
         Happening::Sent(START, b"PP\n".to_vec()),
         Happening::Received(START + 2 * MS, Device::parameters()),
         Happening::Sent(START + 3 * MS, b"ME0000108000000\n".to_vec()),
         Happening::Received(START + 5 * MS, b"ME0000108000000\n00P\n\n".to_vec()),
-    ];
+    ]
+}
+
+/// `scans` scans in chunks as a port gives them, poses at 20 Hz with jitter and one jump, a cut reply, a reconnection.
+fn happenings(scans: i64) -> Vec<Happening> {
+    let mut device = Device { random: 7 };
+    let mut all = opening();
     for number in 0..scans {
         // The device's clock began before, and wraps on the way.
         let stamp_ms = (1_u32 << 24) - 500 + 25 * number as u32;
@@ -185,12 +190,7 @@ fn bent_range(at: &Pose, bearing: f64) -> f64 {
 /// A drive round the ring and half of it again, with true odometry.
 fn round_the_ring() -> Vec<Happening> {
     let mut device = Device { random: 7 };
-    let mut all = vec![
-        Happening::Sent(START, b"PP\n".to_vec()),
-        Happening::Received(START + 2 * MS, Device::parameters()),
-        Happening::Sent(START + 3 * MS, b"ME0000108000000\n".to_vec()),
-        Happening::Received(START + 5 * MS, b"ME0000108000000\n00P\n\n".to_vec()),
-    ];
+    let mut all = opening();
     for number in 0..LAP * 3 / 2 {
         let at = in_ring(number);
         let bytes = device.scan_of(25 * number as u32, |bearing| bent_range(&at, bearing));
