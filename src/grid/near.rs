@@ -20,7 +20,7 @@ pub struct Turns {
     /// Quarters of the time between two turns of a tile, since the first scan: at the last scan and at the one before.
     now: i32,
     before: i32,
-    /// Such that were added where scans were lost, so that nobody's turns are in a row there.
+    /// Quarters that were added where scans were lost, so that nobody's turns are in a row there.
     lost: i32,
 }
 
@@ -37,7 +37,7 @@ impl Turns {
         self.before = self.now;
         self.lost = self.lost.wrapping_add(if follows { 0 } else { 8 });
         self.now = if period > 0.0 {
-            ((elapsed_ns as f64 * 1e-9 / period * 4.0) as i32).wrapping_add(self.lost)
+            ((elapsed_ns as f64 * 1e-9 / period * 4.0) as i64 as i32).wrapping_add(self.lost)
         } else {
             self.now.wrapping_add(if follows { 4 } else { 8 })
         };
@@ -60,15 +60,6 @@ impl Turns {
     pub fn number(self, place: TileIndex) -> i32 {
         number(self.now, place)
     }
-}
-
-fn radius(side: f32) -> f32 {
-    side * std::f32::consts::FRAC_1_SQRT_2
-}
-
-/// By how much the nearest cell of a tile may be nearer than its middle (m).
-pub fn slack(view: &View, side: f32) -> f32 {
-    radius(side) + view.moved() + HAIR
 }
 
 #[inline(always)]
@@ -102,8 +93,8 @@ impl Near {
         tolerance: &Tolerance,
         side: f32,
     ) {
-        let radius = radius(side);
-        let slack = slack(view, side);
+        let radius = side * std::f32::consts::FRAC_1_SQRT_2;
+        let slack = radius + view.moved() + HAIR;
         let beyond = view.farthest() + tolerance.along as f32 + slack;
         for values in self.middles.iter_mut().chain([&mut self.nearest, &mut self.beam, &mut self.half]) {
             values.resize(places.len(), 0.0);
