@@ -9,11 +9,9 @@
 //! `-- WORLD asked` asks for a map each second of the drive and tells what these take.
 //! `-- WORLD hours` drives through it for eight hours, as fast as it can, and tells each hour what memory the process holds.
 
-#[expect(dead_code, reason = "the truth is for the marks")]
-#[path = "../tools/eval/src/drive.rs"]
-mod drive;
+mod laid;
 
-use drive::Drive;
+use laid::Laid;
 use nalgebra::Point2;
 use rustix::time::{ClockId, clock_gettime};
 use scipsim::{SimulationOptions, World};
@@ -30,7 +28,6 @@ use visagged::{
         sweep::Sweep,
         visagge::{Visagge, VisaggeSettings},
     },
-    pose::{Pose, PoseBuffer},
     scan::Scan,
 };
 
@@ -57,27 +54,14 @@ fn main() {
     }
 }
 
-/// A scan and the poses of the scanner at its first and last beam.
-type Laid = (Scan, Pose, Pose);
-
-/// The scans of a simulated drive.
+/// The scans of a drive in the world of this name.
 fn laid(world: &str) -> Vec<Laid> {
     let world = match world.rsplit_once('-').and_then(|(kind, seed)| Some((kind, seed.parse().ok()?))) {
         Some((kind, seed)) => World::generate(kind, seed),
         None => World::load(world),
     }
     .expect("the name of a world");
-    let options = SimulationOptions::default();
-    let drive = Drive::new(&world, options, 1);
-    let mut poses = PoseBuffer::default();
-    for pose in drive.poses {
-        poses.push(pose);
-    }
-    let mount = drive.mount.pose();
-    let at = |stamp_ns| poses.at(stamp_ns, 250_000_000).ok().map(|pose| pose * mount);
-    let laid =
-        |scan: Scan| Some((at(scan.stamp_ns)?, at(scan.end_ns())?)).map(|(start, end)| (scan, start, end));
-    drive.scans.into_iter().filter_map(laid).collect()
+    laid::laid(&world, SimulationOptions::default())
 }
 
 /// Takes the scans one by one and gives the CPU time of each (us).

@@ -1,10 +1,9 @@
 //! The map is the one of who judges everything anew, no matter when and how often maps were asked for.
 
-#[expect(dead_code, reason = "the truth is for the marks")]
-#[path = "../tools/eval/src/drive.rs"]
-mod drive;
+#[path = "../benches/laid/mod.rs"]
+mod laid;
 
-use drive::Drive;
+use laid::Laid;
 use proptest::prelude::*;
 use scipsim::{SimulationOptions, World};
 use std::sync::LazyLock;
@@ -15,12 +14,7 @@ use visagged::{
         visagge::{Visagge, VisaggeSettings},
     },
     map::Map,
-    pose::{Pose, PoseBuffer},
-    scan::Scan,
 };
-
-/// A scan and the poses of the scanner at its first and last beam.
-type Laid = (Scan, Pose, Pose);
 
 /// Drives with mirrors, glass, people, and what is taken away, at five times the speed: a fifth of the scans.
 static DRIVES: LazyLock<Vec<Vec<Laid>>> =
@@ -29,16 +23,7 @@ static DRIVES: LazyLock<Vec<Vec<Laid>>> =
 fn laid(world: &str) -> Vec<Laid> {
     let world = World::load(world).expect("the name of a world");
     let options = SimulationOptions { speed: 5.0, ..SimulationOptions::default() };
-    let drive = Drive::new(&world, options, 1);
-    let mut poses = PoseBuffer::default();
-    for pose in drive.poses {
-        poses.push(pose);
-    }
-    let mount = drive.mount.pose();
-    let at = |stamp_ns| poses.at(stamp_ns, 250_000_000).ok().map(|pose| pose * mount);
-    let laid =
-        |scan: Scan| Some((at(scan.stamp_ns)?, at(scan.end_ns())?)).map(|(start, end)| (scan, start, end));
-    drive.scans.into_iter().filter_map(laid).collect()
+    laid::laid(&world, options)
 }
 
 /// The same grid as after a restart, which has judged nothing yet.
