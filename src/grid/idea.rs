@@ -22,6 +22,8 @@ pub enum Idea {
     Gaps,
     /// Images are not shown.
     Images,
+    /// An image reflects nothing.
+    ImagesReflectNothing,
     /// Glass reflects only as much as physics allows; without, all that is explained is an image.
     Fresnel,
     /// Where nearly all that is seen through a surface is explained, it is opaque, and reflects all.
@@ -34,7 +36,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 12] = [
+    pub const ALL: [Idea; 13] = [
         Idea::Newcomers,
         Idea::TakenAway,
         Idea::Surfaces,
@@ -43,6 +45,7 @@ impl Idea {
         Idea::Clutter,
         Idea::Gaps,
         Idea::Images,
+        Idea::ImagesReflectNothing,
         Idea::Fresnel,
         Idea::Opacity,
         Idea::SecondRange,

@@ -7,7 +7,7 @@
 //! - Shape: the cell and its neighbours, as far as its [`Reach`] goes.
 //! - Gaps: what is shown by its shape in the tile and those around.
 //! - Images: the cell's own view angles, the mirrors in the tiles that its lines of sight cross, and what is shown and free in those where
-//!   its original would stand ([`Sources`]); then, which surfaces are opaque.
+//!   its original would stand ([`Sources`]); then, which surfaces are opaque. All of this in [`ROUNDS`].
 //! - Thickness: all of this in the tile and those around.
 //!
 //! That a cell has changed is told by its [fingerprint](super::cell::Cell::fingerprint).
@@ -15,7 +15,7 @@
 use super::{
     idea::Idea,
     mirrors::{Mirror, Mirrors},
-    reflection::{self, Image, Opacity, Sources},
+    reflection::{self, Image, Opacity, ROUNDS, Sources},
     squares::{Reach, Squares, SquaresAround},
     surface::Window,
     tiles::TileIndex,
@@ -31,9 +31,9 @@ pub(super) struct Judgement {
     fingerprint: u64,
     /// The cells that `shape` depends on.
     reach: Reach,
-    /// How it may be an image.
-    pub image: Image,
-    /// Whether `image` has to be judged anew.
+    /// How it may be an image, round by round.
+    pub images: [Image; ROUNDS],
+    /// Whether `images` have to be judged anew.
     image_is_due: bool,
     /// What its shape says of it.
     shape: Verdict,
@@ -44,6 +44,9 @@ pub(super) struct Judgement {
     /// Whether it is shown as occupied, and why.
     pub verdict: Verdict,
 }
+
+/// Of every cell: what it takes counts.
+const _: () = assert!(size_of::<Judgement>() == 32);
 
 /// What the shape of its neighbourhood says of a cell.
 pub(super) struct Shape {
@@ -66,10 +69,12 @@ struct Change {
     judged: bool,
     /// Whether other cells are shown by themselves.
     shaped: bool,
-    /// Whether other cells are mirrors, or in another way.
-    mirrors: bool,
+    /// Whether, in a round of images, other cells are mirrors, or in another way.
+    mirrors: [bool; ROUNDS],
     /// Whether other cells are shown, gaps bridged.
     shown: bool,
+    /// Whether what images depend on was looked up anew.
+    sources: bool,
     /// Whether a cell's verdict is another, but for how thick surfaces are drawn.
     unthinned: bool,
 }
@@ -83,8 +88,10 @@ impl Visagge {
         let mut changes = self.changes();
         self.judge_shapes(&mut changes);
         self.bridge_gaps(&mut changes);
-        self.judge_images(&mut changes);
-        self.judge_opacity(&mut changes);
+        for round in 0..ROUNDS {
+            self.judge_images(round, &mut changes);
+            self.judge_opacity(round, &mut changes);
+        }
         self.thin(&changes);
     }
 
@@ -166,27 +173,33 @@ impl Visagge {
         }
     }
 
-    /// Tells which cells that are shown may be images.
-    fn judge_images(&mut self, changes: &mut Changes) {
+    /// Tells which cells that are shown may be images; before the last round, which of those that are mirrors.
+    fn judge_images(&mut self, round: usize, changes: &mut Changes) {
+        let is_last = round + 1 == ROUNDS;
+        let idea = if is_last { Idea::Images } else { Idea::ImagesReflectNothing };
+        let may_be = self.settings.has(Idea::Images) && self.settings.has(idea);
         for number in 0..self.tiles.len() {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
             let Sources { crossed, sought } = &evidence.sources;
-            let all = crossed.iter().any(|place| self.change(changes, place).mirrors)
+            let all = changes.0[number].sources
+                || crossed.iter().any(|place| self.change(changes, place).mirrors[round])
                 || sought.iter().any(|place| {
                     let change = self.change(changes, place);
                     change.shown || change.free
                 });
-            let mut sources = if all { Sources::default() } else { evidence.sources.clone() };
+            // Begun anew in the first round, when all of all rounds is judged anew.
+            let anew = all && round == 0;
+            let mut sources = if anew { Sources::default() } else { evidence.sources.clone() };
             let images: Vec<(usize, Image)> = evidence
                 .judgements
                 .iter()
                 .enumerate()
                 .filter(|(_, judgement)| all || judgement.image_is_due)
                 .map(|(at, judgement)| {
-                    let may_be = judgement.bridged.is_shown() && self.settings.has(Idea::Images);
-                    let image = if may_be {
-                        reflection::image(self, place, &evidence.cells.get(at), &mut sources)
+                    let matters = judgement.bridged.is_shown() && (is_last || evidence.is_mirror(at));
+                    let image = if may_be && matters {
+                        reflection::image(self, place, &evidence.cells.get(at), round, &mut sources)
                     } else {
                         Image::No
                     };
@@ -196,34 +209,34 @@ impl Visagge {
             if !images.is_empty() {
                 let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
                 evidence.sources = sources;
-                evidence.take_images(images);
+                evidence.take_images(round, images);
+                changes.0[number].sources |= anew;
                 changes.0[number].judged = true;
             }
         }
     }
 
     /// Tells which of these are images.
-    fn judge_opacity(&mut self, changes: &mut Changes) {
+    fn judge_opacity(&mut self, round: usize, changes: &mut Changes) {
         let mut opacity = Opacity::default();
         for number in 0..self.tiles.len() {
             let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
             if changes.0[number].judged {
-                evidence.count_votes();
+                evidence.count_votes(round);
             }
             if self.settings.has(Idea::Opacity) {
-                opacity.add(&evidence.votes);
+                opacity.add(&evidence.rounds[round].votes);
             }
         }
         for (number, change) in changes.0.iter_mut().enumerate() {
             let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
-            let opaque = opacity.opaque(&evidence.votes);
-            if change.judged || opaque != evidence.opaque {
-                evidence.opaque = opaque;
-                for judgement in &mut evidence.judgements {
-                    let is_image = opacity.is_image(judgement.image);
-                    let verdict = if is_image { Verdict::Image } else { judgement.bridged };
-                    change.unthinned |= verdict != judgement.unthinned;
-                    judgement.unthinned = verdict;
+            let opaque = opacity.opaque(&evidence.rounds[round].votes);
+            if change.judged || opaque != evidence.rounds[round].opaque {
+                evidence.rounds[round].opaque = opaque;
+                let is_image = |judgement: &Judgement| opacity.is_image(judgement.images[round]);
+                match change.mirrors.get_mut(round + 1) {
+                    Some(mirrors) => *mirrors |= evidence.take_mirrors(round + 1, is_image),
+                    None => change.unthinned |= evidence.take_unthinned(is_image),
                 }
             }
         }
@@ -275,19 +288,23 @@ impl Evidence {
 
     fn take_shapes(&mut self, shapes: Vec<(usize, Shape)>, change: &mut Change) {
         let mut mirrors = self.mirrors.take().map(|mirrors| mirrors.into_all()).unwrap_or_default();
+        let mut are_others = false;
         for (number, Shape { verdict, mirror, reach }) in shapes {
             let judgement = &mut self.judgements[number];
             (judgement.shape, judgement.reach) = (verdict, reach);
             let place = place_of(self.cells.returns[number].place);
-            let before = match mirror {
-                Some(mirror) => mirrors.insert(place, mirror),
-                None => mirrors.remove(&place),
-            };
-            change.mirrors |= before != mirror;
+            let before = mirrors.get(&place).map(|before| before.mirror);
+            judgement.image_is_due |= before.is_some() != mirror.is_some();
+            are_others |= before != mirror;
+            match mirror {
+                Some(mirror) => mirrors.entry(place).or_insert(mirror.into()).mirror = mirror,
+                None => drop(mirrors.remove(&place)),
+            }
         }
         let count = mirrors.len();
         mirrors.retain(|place, _| self.slots.get(*place).is_some());
-        change.mirrors |= mirrors.len() != count;
+        are_others |= mirrors.len() != count;
+        change.mirrors = [are_others; ROUNDS];
         self.mirrors = Mirrors::of(mirrors).map(Box::new);
         let shaped = self.rows(|judgement| judgement.shape.is_shown());
         change.shaped = shaped != self.shaped;
@@ -306,16 +323,42 @@ impl Evidence {
         self.shown = shown;
     }
 
-    fn take_images(&mut self, images: Vec<(usize, Image)>) {
+    fn take_images(&mut self, round: usize, images: Vec<(usize, Image)>) {
         for (number, image) in images {
             let judgement = &mut self.judgements[number];
-            (judgement.image, judgement.image_is_due) = (image, false);
+            judgement.images[round] = image;
+            judgement.image_is_due &= round + 1 < ROUNDS;
         }
     }
 
-    fn count_votes(&mut self) {
-        self.votes = Opacity::default();
-        self.judgements.iter().for_each(|judgement| self.votes.vote(judgement.image));
+    fn count_votes(&mut self, round: usize) {
+        let votes = &mut self.rounds[round].votes;
+        *votes = Opacity::default();
+        self.judgements.iter().for_each(|judgement| votes.vote(judgement.images[round]));
+    }
+
+    /// Whether the cell with this number is a mirror.
+    fn is_mirror(&self, number: usize) -> bool {
+        let place = place_of(self.cells.returns[number].place);
+        self.mirrors.as_ref().is_some_and(|mirrors| mirrors.has(place))
+    }
+
+    /// Takes note of which mirrors reflect in a round. Gives whether others did.
+    fn take_mirrors(&mut self, round: usize, is_image: impl Fn(&Judgement) -> bool) -> bool {
+        let Evidence { mirrors, slots, judgements, .. } = self;
+        let is_image = |place| slots.get(place).is_some_and(|number| is_image(&judgements[number]));
+        mirrors.as_mut().is_some_and(|mirrors| mirrors.set_reflecting(round, |place| !is_image(place)))
+    }
+
+    /// Takes note of which cells are images in the end. Gives whether others were.
+    fn take_unthinned(&mut self, is_image: impl Fn(&Judgement) -> bool) -> bool {
+        let mut are_others = false;
+        for judgement in &mut self.judgements {
+            let verdict = if is_image(judgement) { Verdict::Image } else { judgement.bridged };
+            are_others |= verdict != judgement.unthinned;
+            judgement.unthinned = verdict;
+        }
+        are_others
     }
 
     /// A bit for each cell of which this holds, a word a row.

@@ -2,6 +2,7 @@
 
 use super::{
     angle::AngleRange,
+    reflection::ROUNDS,
     surface::Line,
     tiles::{CellIndex, SIDE},
     view::Place,
@@ -17,10 +18,24 @@ pub struct Mirror {
     pub visible: AngleRange,
 }
 
+/// One of a tile, and whether it reflects in each round of [`super::reflection`].
+#[derive(Clone, Debug)]
+pub struct Reflecting {
+    pub mirror: Mirror,
+    rounds: [bool; ROUNDS],
+}
+
+impl From<Mirror> for Reflecting {
+    /// Until something else is known, it does.
+    fn from(mirror: Mirror) -> Reflecting {
+        Reflecting { mirror, rounds: [true; ROUNDS] }
+    }
+}
+
 /// Those of a tile.
 #[derive(Clone, Debug)]
 pub struct Mirrors {
-    mirrors: BTreeMap<Place, Mirror>,
+    mirrors: BTreeMap<Place, Reflecting>,
     /// A bit for each of them, a word a row.
     rows: [u64; SIDE as usize],
     /// A bit for each cell that is one of these or beside one.
@@ -35,7 +50,7 @@ const CELLS: usize = SIDE as usize / SQUARES;
 
 impl Mirrors {
     /// `None` where there are none.
-    pub fn of(mirrors: BTreeMap<Place, Mirror>) -> Option<Mirrors> {
+    pub fn of(mirrors: BTreeMap<Place, Reflecting>) -> Option<Mirrors> {
         if mirrors.is_empty() {
             return None;
         }
@@ -49,8 +64,23 @@ impl Mirrors {
     }
 
     /// All of them, by their places in the tile.
-    pub fn into_all(self) -> BTreeMap<Place, Mirror> {
+    pub fn into_all(self) -> BTreeMap<Place, Reflecting> {
         self.mirrors
+    }
+
+    /// Whether the cell at this place is one of them.
+    pub fn has(&self, place: Place) -> bool {
+        self.rows[usize::from(place >> 6)] >> (place & 63) & 1 == 1
+    }
+
+    /// From now on, those reflect in a round for whose places this holds. Gives whether others did.
+    pub fn set_reflecting(&mut self, round: usize, holds: impl Fn(Place) -> bool) -> bool {
+        let mut are_others = false;
+        for (place, mirror) in &mut self.mirrors {
+            let before = std::mem::replace(&mut mirror.rounds[round], holds(*place));
+            are_others |= before != mirror.rounds[round];
+        }
+        are_others
     }
 
     /// A rectangle around the cell in this column and row in which none is near: its lower left cell, and the one beyond its upper
@@ -64,22 +94,25 @@ impl Mirrors {
         (away > 0).then(|| [cell(low(x), low(y)), cell(high(x), high(y))])
     }
 
-    /// The one in this column and row, or beside.
-    pub fn near(&self, column: usize, row: usize) -> Option<&Mirror> {
+    /// The one in this column and row, or beside, that reflects in this round.
+    pub fn near(&self, column: usize, row: usize, round: usize) -> Option<&Mirror> {
         if self.near[row] >> column & 1 == 0 {
             return None;
         }
-        let beside = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
-        let (column, row) =
-            beside.into_iter().map(|(x, y)| (column as i32 + x, row as i32 + y)).find(|&(x, y)| {
-                (0..SIDE).contains(&x) && (0..SIDE).contains(&y) && self.rows[y as usize] >> x & 1 == 1
-            })?;
-        self.mirrors.get(&((row << 6 | column) as Place))
+        [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
+            .into_iter()
+            .map(|(x, y)| (column as i32 + x, row as i32 + y))
+            .filter(|(x, y)| (0..SIDE).contains(x) && (0..SIDE).contains(y))
+            .map(|(x, y)| (y << 6 | x) as Place)
+            .filter(|place| self.has(*place))
+            .filter_map(|place| self.mirrors.get(&place))
+            .find(|mirror| mirror.rounds[round])
+            .map(|mirror| &mirror.mirror)
     }
 
     /// Memory that they hold (bytes), but for what the tree takes beside its entries.
     pub fn bytes(&self) -> usize {
-        size_of_val(self) + self.mirrors.len() * size_of::<(Place, Mirror)>()
+        size_of_val(self) + self.mirrors.len() * size_of::<(Place, Reflecting)>()
     }
 }
 

@@ -4,6 +4,9 @@
 //! falls on what it is an image of: a mapped cell, or the robot itself (paper IV-B.2 looks only at beams through surfaces
 //! that are mapped already; this looks back, since an image is often mapped before its mirror is, which is seen only near
 //! its normal).
+//!
+//! An image reflects nothing: what is shown behind a mirror looks like a surface itself, which what stands there would be seen in. So
+//! the surfaces are judged first, [round](ROUNDS) by round.
 
 use super::{
     angle::{Angle, AngleRange, units},
@@ -42,6 +45,11 @@ const INSIDE: f64 = 0.05;
 /// Widest search around the mirrored point (m).
 const WIDEST: f64 = 0.3;
 
+/// How often images are sought. In the first rounds among surfaces only, in the last one among all cells; each time those that were found to
+/// be images in the round before reflect nothing. What the first takes away too much, by surfaces that are images, the second gives
+/// back, and too much; more than three change next to nothing.
+pub(super) const ROUNDS: usize = 3;
+
 /// Half the side of the blocks in which surfaces are told to be opaque or not (cells).
 const BLOCK: i32 = 16;
 /// Share of what is seen through a surface, and could be known, that must be explained for the surface to be opaque. In
@@ -79,8 +87,28 @@ impl Image {
     }
 }
 
-/// A block of cells.
-pub(super) type Block = (i32, i32);
+/// A block of cells. Packed, since each cell keeps some.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(Rust, packed)]
+pub(super) struct Block {
+    /// Its place modulo 2^16 blocks, which is 52 km.
+    x: i16,
+    y: i16,
+}
+
+impl Block {
+    fn of(cell: CellIndex) -> Block {
+        Block { x: cell.x.div_euclid(BLOCK) as i16, y: cell.y.div_euclid(BLOCK) as i16 }
+    }
+
+    /// It and the eight around it.
+    fn around(self) -> impl Iterator<Item = Block> {
+        let Block { x, y } = self;
+        (-1..=1).flat_map(move |dy| {
+            (-1..=1).map(move |dx| Block { x: x.wrapping_add(dx), y: y.wrapping_add(dy) })
+        })
+    }
+}
 
 /// The tiles that images were judged by.
 #[derive(Clone, Debug, Default)]
@@ -105,6 +133,7 @@ pub(super) struct Places(Vec<TileIndex>);
 impl Places {
     fn insert(&mut self, place: TileIndex) {
         if let Err(at) = self.0.binary_search(&place) {
+            self.0.reserve_exact(usize::from(self.0.len() == self.0.capacity()) * 4);
             self.0.insert(at, place);
         }
     }
@@ -154,9 +183,9 @@ impl Opacity {
     }
 
     /// Whether the surface in the block, with its neighbours, reflects all that is seen through it.
-    fn is_opaque(&self, (x, y): Block) -> bool {
-        let (explained, all) = (-1..=1)
-            .flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy)))
+    fn is_opaque(&self, block: Block) -> bool {
+        let (explained, all) = block
+            .around()
             .filter_map(|block| self.votes.get(&block))
             .fold((0, 0), |sum, votes| (sum.0 + votes.0, sum.1 + votes.1));
         all > 0 && explained as f32 >= OPAQUE * all as f32
@@ -172,8 +201,15 @@ impl Opacity {
     }
 }
 
-/// Whether a cell is explained as an image from everywhere it was seen. `sources` takes in what this depends on, but for the cell.
-pub(super) fn image(grid: &Visagge, place: TileIndex, cell: &Cell, sources: &mut Sources) -> Image {
+/// Whether a cell is explained as an image from everywhere it was seen, by what reflects in this round. `sources` takes in what this
+/// depends on, but for the cell.
+pub(super) fn image(
+    grid: &Visagge,
+    place: TileIndex,
+    cell: &Cell,
+    round: usize,
+    sources: &mut Sources,
+) -> Image {
     let index = cell.index(place);
     let at = |index: i32| (f64::from(index) + 0.5) * grid.resolution;
     let point = [at(index.x), at(index.y)];
@@ -185,7 +221,8 @@ pub(super) fn image(grid: &Visagge, place: TileIndex, cell: &Cell, sources: &mut
         let mut unexplained = 0;
         for part in OBSERVERS {
             let [x, y] = visible.sensor(part);
-            match explained(grid, point, [point[0] + x, point[1] + y], x.hypot(y), y.atan2(x), sources) {
+            let sight = Sight { from: [point[0] + x, point[1] + y], to: point, range: x.hypot(y), round };
+            match explained(grid, &sight, sources) {
                 Image::Yes => (),
                 Image::IfOpaque(block) => image = Image::IfOpaque(block),
                 other => {
@@ -200,25 +237,32 @@ pub(super) fn image(grid: &Visagge, place: TileIndex, cell: &Cell, sources: &mut
     image
 }
 
-/// Whether a surface between sensor and point shows there what is elsewhere.
-fn explained(
-    grid: &Visagge,
-    point: [f64; 2],
-    sensor: [f64; 2],
+/// A line of sight.
+struct Sight {
+    /// The sensor (m).
+    from: [f64; 2],
+    /// The cell (m).
+    to: [f64; 2],
+    /// From one to the other (m).
     range: f64,
-    bearing: f64,
-    sources: &mut Sources,
-) -> Image {
+    /// The round, which tells what reflects.
+    round: usize,
+}
+
+/// Whether a surface on the line of sight shows at its end what is elsewhere.
+fn explained(grid: &Visagge, sight: &Sight, sources: &mut Sources) -> Image {
     let mut image = Image::No;
+    let Sight { from: sensor, to: point, range, .. } = *sight;
+    let bearing = (sensor[1] - point[1]).atan2(sensor[0] - point[0]);
     let seen_from = Angle::from_rad(bearing);
     let Sources { crossed, sought } = sources;
-    cross(grid, sensor, point, range, crossed, |index, Mirror { line, visible }, distance| {
+    cross(grid, sight, crossed, |index, Mirror { line, visible }, distance| {
         // What was always seen from this direction was not seen through.
         let inside = visible.depth(AngleRange::at(seen_from), 0);
         if inside > units(INSIDE) as i32 {
             return false;
         }
-        let block = (index.x.div_euclid(BLOCK), index.y.div_euclid(BLOCK));
+        let block = Block::of(index);
         let mirrored = line.mirror(point);
         let distance_to = |[x, y]: [f64; 2]| (mirrored[0] - x).hypot(mirrored[1] - y);
         let tolerance = (PLACE + 2.0 * DIRECTION * (range - distance)).min(WIDEST);
@@ -255,12 +299,11 @@ fn glass_reflects(incidence: f64) -> f64 {
 /// Visits the cells on the line of sight that something may be seen through or in, until `visit` returns true.
 fn cross(
     grid: &Visagge,
-    sensor: [f64; 2],
-    point: [f64; 2],
-    range: f64,
+    sight: &Sight,
     crossed: &mut Places,
     mut visit: impl FnMut(CellIndex, &Mirror, f64) -> bool,
 ) {
+    let Sight { from: sensor, to: point, range, round } = *sight;
     let resolution = grid.resolution;
     // Half a cell: rows of cells that touch at their corners only are not slipped through.
     let step = resolution / 2.0;
@@ -294,7 +337,7 @@ fn cross(
                 distance += step * f64::from((left / step).max(1.0) as u32);
                 continue;
             }
-            let mirror = mirrors.near(column, row);
+            let mirror = mirrors.near(column, row, round);
             if mirror.is_some_and(|mirror| visit(index, mirror, distance)) {
                 return;
             }
@@ -358,18 +401,19 @@ mod tests {
 
     #[test]
     fn what_is_explained_makes_a_surface_opaque_and_what_cannot_be_known_says_nothing() {
+        let [here, beside, above, far] = [(3, 4), (4, 4), (3, 5), (30, 4)].map(|(x, y)| Block { x, y });
         let votes = |explained: usize, unexplained: usize, unknown: usize| {
             let mut opacity = Opacity::default();
-            (0..explained).for_each(|_| opacity.vote(Image::IfOpaque((3, 4))));
-            (0..unexplained).for_each(|_| opacity.vote(Image::Unexplained((4, 4))));
-            (0..unknown).for_each(|_| opacity.vote(Image::Unknown((3, 5))));
+            (0..explained).for_each(|_| opacity.vote(Image::IfOpaque(here)));
+            (0..unexplained).for_each(|_| opacity.vote(Image::Unexplained(beside)));
+            (0..unknown).for_each(|_| opacity.vote(Image::Unknown(above)));
             opacity
         };
         let mirror = votes(80, 20, 300);
-        assert!(mirror.is_image(Image::IfOpaque((3, 4))) && mirror.is_image(Image::Unknown((3, 5))));
-        assert!(!mirror.is_image(Image::Unexplained((3, 4))), "somebody who has moved on");
-        assert!(!mirror.is_image(Image::IfOpaque((30, 4))), "another surface");
+        assert!(mirror.is_image(Image::IfOpaque(here)) && mirror.is_image(Image::Unknown(above)));
+        assert!(!mirror.is_image(Image::Unexplained(here)), "somebody who has moved on");
+        assert!(!mirror.is_image(Image::IfOpaque(far)), "another surface");
         let pane = votes(50, 50, 0);
-        assert!(!pane.is_image(Image::IfOpaque((3, 4))) && pane.is_image(Image::Yes));
+        assert!(!pane.is_image(Image::IfOpaque(here)) && pane.is_image(Image::Yes));
     }
 }

@@ -2,6 +2,7 @@
 
 use super::{
     cell::Cell,
+    reflection::ROUNDS,
     standard::Standard,
     tiles::{CellIndex, SIDE},
     visagge::Visagge,
@@ -123,7 +124,7 @@ impl Visagge {
                 cell.returns.occupancy,
                 cell.returns.passes,
                 judgement.verdict as u8,
-                judgement.image.number(),
+                judgement.images[ROUNDS - 1].number(),
             ]) {
                 layer.push(value);
             }

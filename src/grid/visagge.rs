@@ -14,7 +14,7 @@ use super::{
     mirrors::Mirrors,
     near::{Near, Turns},
     rays::Rays,
-    reflection::{Block, Opacity, Sources},
+    reflection::{Block, Opacity, ROUNDS, Sources},
     saved::PAUSE_NS,
     slots::Slots,
     squares::Squares,
@@ -129,8 +129,15 @@ pub(super) struct Evidence {
     pub(super) shown: [u64; SIDE as usize],
     /// Those of these that something may be seen through or in.
     pub(super) mirrors: Option<Box<Mirrors>>,
-    /// What the images among the cells were judged by.
+    /// What the images among the cells were judged by, in all rounds.
     pub(super) sources: Sources,
+    /// What surfaces were judged by, round by round.
+    pub(super) rounds: [Round; ROUNDS],
+}
+
+/// What surfaces were judged by in a [round](ROUNDS) of images.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Round {
     /// What is seen through surfaces in these cells.
     pub(super) votes: Opacity,
     /// The blocks of `votes` that were opaque.
@@ -151,8 +158,7 @@ impl Default for Evidence {
             shown: [0; SIDE as usize],
             mirrors: None,
             sources: Sources::default(),
-            votes: Opacity::default(),
-            opaque: Vec::new(),
+            rounds: Default::default(),
         }
     }
 }
@@ -203,8 +209,7 @@ impl Evidence {
             + self.judgements.capacity() * size_of::<Judgement>()
             + self.mirrors.as_ref().map_or(0, |mirrors| mirrors.bytes())
             + self.sources.bytes()
-            + self.votes.bytes()
-            + self.opaque.capacity() * size_of::<Block>()
+            + self.rounds.iter().map(Round::bytes).sum::<usize>()
     }
 
     fn retain(&mut self, keep: impl Fn(&Returns) -> bool) {
@@ -222,6 +227,13 @@ impl Evidence {
                 self.slots.set(place_of(moved.place), number);
             }
         }
+    }
+}
+
+impl Round {
+    /// Memory beside itself (bytes).
+    fn bytes(&self) -> usize {
+        self.votes.bytes() + self.opaque.capacity() * size_of::<Block>()
     }
 }
 
