@@ -194,8 +194,11 @@ impl Opacity {
     /// The verdict.
     pub(super) fn is_image(&self, image: Image) -> bool {
         match image {
-            Image::No | Image::Unexplained(_) => false,
-            Image::Unknown(block) | Image::IfOpaque(block) => self.is_opaque(block),
+            Image::No => false,
+            // Through what is opaque nothing is seen, explained or not: it has moved on, or was reflected twice.
+            Image::Unexplained(block) | Image::Unknown(block) | Image::IfOpaque(block) => {
+                self.is_opaque(block)
+            }
             Image::Yes => true,
         }
     }
@@ -411,8 +414,9 @@ mod tests {
         };
         let mirror = votes(80, 20, 300);
         assert!(mirror.is_image(Image::IfOpaque(here)) && mirror.is_image(Image::Unknown(above)));
-        assert!(!mirror.is_image(Image::Unexplained(here)), "somebody who has moved on");
+        assert!(mirror.is_image(Image::Unexplained(here)), "somebody who has moved on");
         assert!(!mirror.is_image(Image::IfOpaque(far)), "another surface");
+        assert!(!mirror.is_image(Image::No), "seen past it");
         let pane = votes(50, 50, 0);
         assert!(!pane.is_image(Image::IfOpaque(here)) && pane.is_image(Image::Yes));
     }
