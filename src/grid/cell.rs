@@ -52,14 +52,12 @@ pub struct Visible {
 }
 
 impl Visible {
-    /// Where the sensor was relative to the cell (m), `part` (0..1) of the straight way from one end of the range to the other.
-    pub fn sensor(&self, part: f64) -> [f64; 2] {
-        let end = |width: u16, range: f32| {
-            let bearing = Angle(self.range.start.0.wrapping_add(width)).rad();
-            [f64::from(range) * bearing.cos(), f64::from(range) * bearing.sin()]
-        };
-        let (from, to) = (end(0, self.ranges[0]), end(self.range.width, self.ranges[1]));
-        [from[0] + (to[0] - from[0]) * part, from[1] + (to[1] - from[1]) * part]
+    /// Where the sensor was relative to the cell (m), at both ends of the range.
+    pub fn ends(&self) -> [[f64; 2]; 2] {
+        [(0, self.ranges[0]), (self.range.width, self.ranges[1])].map(|(width, range)| {
+            let (sin, cos) = Angle(self.range.start.0.wrapping_add(width)).rad().sin_cos();
+            [f64::from(range) * cos, f64::from(range) * sin]
+        })
     }
 }
 

@@ -1,12 +1,6 @@
 //! The cells of a tile that something may be seen through or in, and all that images are judged by of them.
 
-use super::{
-    angle::AngleRange,
-    reflection::ROUNDS,
-    surface::Line,
-    tiles::{CellIndex, SIDE},
-    view::Place,
-};
+use super::{angle::AngleRange, reflection::ROUNDS, surface::Line, tiles::SIDE, view::Place};
 use std::collections::BTreeMap;
 
 /// What images are judged by of such a cell.
@@ -83,15 +77,14 @@ impl Mirrors {
         are_others
     }
 
-    /// A rectangle around the cell in this column and row in which none is near: its lower left cell, and the one beyond its upper
-    /// right one.
-    pub fn clear_around(&self, column: usize, row: usize) -> Option<[CellIndex; 2]> {
-        let (x, y) = (column / CELLS, row / CELLS);
-        let away = usize::from(self.away[y * SQUARES + x]);
-        let cell = |x, y| CellIndex { x: (x * CELLS) as i32, y: (y * CELLS) as i32 };
-        let low = |at: usize| (at + 1).saturating_sub(away);
-        let high = |at: usize| (at + away).min(SQUARES);
-        (away > 0).then(|| [cell(low(x), low(y)), cell(high(x), high(y))])
+    /// A rectangle around the cell in this column and row in which none is near: column and row of its lower left cell, and of the one
+    /// beyond its upper right one.
+    pub fn clear_around(&self, column: usize, row: usize) -> Option<[[u8; 2]; 2]> {
+        let square = [column / CELLS, row / CELLS];
+        let away = usize::from(self.away[square[1] * SQUARES + square[0]]);
+        let low = square.map(|at| (CELLS * (at + 1).saturating_sub(away)) as u8);
+        let high = square.map(|at| (CELLS * (at + away).min(SQUARES)) as u8);
+        (away > 0).then_some([low, high])
     }
 
     /// The one in this column and row, or beside, that reflects in this round.

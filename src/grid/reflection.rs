@@ -19,8 +19,8 @@ use super::{
 use std::collections::BTreeMap;
 use std::f64::consts::SQRT_2;
 
-/// Parts of the range of view angles from which the line of sight is looked at, the most telling first. The very ends look
-/// past the edges of the surface that reflects, where a cell's error decides.
+/// From which parts of the straight way from one end of the range of view angles to the other the line of sight is looked at, the
+/// most telling first. The very ends look past the edges of the surface that reflects, where a cell's error decides.
 const OBSERVERS: [f64; 5] = [0.5, 0.3, 0.7, 0.1, 0.9];
 /// How many of these need not be explained: surfaces are mapped with gaps.
 const GAPS: usize = 2;
@@ -222,8 +222,9 @@ pub(super) fn image(
     let mut image = Image::Yes;
     for visible in [Some(&cell.visible), too].into_iter().flatten() {
         let mut unexplained = 0;
+        let [from, to] = visible.ends();
         for part in OBSERVERS {
-            let [x, y] = visible.sensor(part);
+            let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
             let sight = Sight { from: [point[0] + x, point[1] + y], to: point, range: x.hypot(y), round };
             match explained(grid, &sight, sources) {
                 Image::Yes => (),
@@ -306,57 +307,79 @@ fn cross(
     crossed: &mut Places,
     mut visit: impl FnMut(CellIndex, &Mirror, f64) -> bool,
 ) {
-    let Sight { from: sensor, to: point, range, round } = *sight;
     let resolution = grid.resolution;
     // Half a cell: rows of cells that touch at their corners only are not slipped through.
     let step = resolution / 2.0;
-    let direction = [(point[0] - sensor[0]) / range, (point[1] - sensor[1]) / range];
-    let at = |distance: f64| {
-        let point = [sensor[0] + direction[0] * distance, sensor[1] + direction[1] * distance];
-        CellIndex::of(point[0], point[1], resolution)
-    };
+    let end = sight.range - CLEAR_OF_CELL;
+    // Where the sight begins, and how it goes on (cells, and cells a metre).
+    let start = sight.from.map(|at| at / resolution);
+    let along = [0, 1].map(|axis| (sight.to[axis] - sight.from[axis]) / (sight.range * resolution));
     let mut distance = CLEAR_OF_SENSOR;
-    let end = range - CLEAR_OF_CELL;
     while distance < end {
-        let (place, ..) = at(distance).split();
+        let at = |axis: usize| (start[axis] + along[axis] * distance).floor() as i32;
+        let (place, ..) = CellIndex { x: at(0), y: at(1) }.split();
         crossed.insert(place);
+        let corner = place.cell(0, 0);
+        let in_tile =
+            Course { start: [start[0] - f64::from(corner.x), start[1] - f64::from(corner.y)], along };
         let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
         let Some(mirrors) = evidence.and_then(|evidence| evidence.mirrors.as_ref()) else {
-            let tile = [place.cell(0, 0), place.cell(SIDE as usize, SIDE as usize)];
-            distance = leaves(tile, sensor, direction, resolution).max(distance) + step / 8.0;
+            distance = in_tile.leaves([[0; 2], [SIDE as u8; 2]]).max(distance) + step / 8.0;
             continue;
         };
         while distance < end {
-            let index = at(distance);
-            let (inside, column, row) = index.split();
-            if inside != place {
-                break;
-            }
+            let [column, row] = in_tile.cell(distance);
             if let Some(clear) = mirrors.clear_around(column, row) {
-                let corner = place.cell(0, 0);
-                let clear = clear.map(|cell| CellIndex { x: corner.x + cell.x, y: corner.y + cell.y });
-                let left = leaves(clear, sensor, direction, resolution) - distance;
+                let left = in_tile.leaves(clear) - distance;
                 // Whole steps, so that looking at all of them would find the same.
                 distance += step * f64::from((left / step).max(1.0) as u32);
-                continue;
+            } else {
+                let mirror = mirrors.near(column, row, sight.round);
+                if mirror.is_some_and(|mirror| visit(place.cell(column, row), mirror, distance)) {
+                    return;
+                }
+                distance += if mirror.is_some() { THICKNESS } else { step };
             }
-            let mirror = mirrors.near(column, row, round);
-            if mirror.is_some_and(|mirror| visit(index, mirror, distance)) {
-                return;
+            if !in_tile.is_inside(distance) {
+                break;
             }
-            distance += if mirror.is_some() { THICKNESS } else { step };
         }
     }
 }
 
-/// Distance at which a line of sight leaves a rectangle of cells that it is in (m): from its lower left cell to before the
-/// one beyond the upper right.
-fn leaves([low, high]: [CellIndex; 2], sensor: [f64; 2], direction: [f64; 2], resolution: f64) -> f64 {
-    let along = |i: usize, low: i32, high: i32| {
-        let border = f64::from(if direction[i] > 0.0 { high } else { low }) * resolution;
-        if direction[i] == 0.0 { f64::INFINITY } else { (border - sensor[i]) / direction[i] }
-    };
-    along(0, low.x, high.x).min(along(1, low.y, high.y))
+/// The course of a line of sight in the columns and rows of a tile.
+struct Course {
+    /// Where it begins (cells).
+    start: [f64; 2],
+    /// How it goes on (cells a metre).
+    along: [f64; 2],
+}
+
+impl Course {
+    fn at(&self, distance: f64) -> [f64; 2] {
+        [0, 1].map(|axis| self.start[axis] + self.along[axis] * distance)
+    }
+
+    /// Whether it is in the tile there (m).
+    fn is_inside(&self, distance: f64) -> bool {
+        self.at(distance).iter().all(|at| (0.0..f64::from(SIDE)).contains(at))
+    }
+
+    /// Column and row there (m); of the tile's cells the nearest.
+    fn cell(&self, distance: f64) -> [usize; 2] {
+        self.at(distance).map(|at| (at as i32).clamp(0, SIDE - 1) as usize)
+    }
+
+    /// Distance at which it leaves a rectangle of cells that it is in (m): from its lower left cell to before the one beyond the upper
+    /// right.
+    fn leaves(&self, [low, high]: [[u8; 2]; 2]) -> f64 {
+        let along = |axis: usize| {
+            let border = f64::from(if self.along[axis] > 0.0 { high[axis] } else { low[axis] });
+            let to_border = (border - self.start[axis]) / self.along[axis];
+            if self.along[axis] == 0.0 { f64::INFINITY } else { to_border }
+        };
+        along(0).min(along(1))
+    }
 }
 
 impl Visagge {
