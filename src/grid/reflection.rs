@@ -417,6 +417,85 @@ impl Visagge {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::grid::{
+        cell::Returns,
+        track::{Sector, Track, distance_units},
+        verdict::Verdict,
+        visagge::VisaggeSettings,
+    };
+
+    /// A row of cells along x (m), all seen from `range` metres away over these bearings of the sensor (degrees).
+    struct Row {
+        x: [f64; 2],
+        y: f64,
+        bearings: [f64; 2],
+        range: f32,
+        /// Whether they were missed over 30 degrees, as glass is.
+        is_missed: bool,
+    }
+
+    const CELL: f64 = 0.05;
+
+    /// What is judged of the cell at each of these points (m).
+    fn verdicts<const N: usize>(rows: &[Row], points: [[f64; 2]; N]) -> [Verdict; N] {
+        let mut grid = Visagge::new(CELL, VisaggeSettings::default());
+        for Row { x, y, bearings, range: seen, is_missed } in rows {
+            let cells = (x[1] - x[0]) / CELL;
+            for number in 0..cells.round() as i32 {
+                let (place, column, row) =
+                    CellIndex::of(x[0] + (f64::from(number) + 0.5) * CELL, *y, CELL).split();
+                let mut returns = Returns::new([column as u8, row as u8], *is_missed);
+                (returns.occupancy, returns.hits) = (9, 9);
+                let from = |degrees: f64| Angle::from_rad(degrees.to_radians());
+                let width = units((bearings[1] - bearings[0]).to_radians()) as u16;
+                let range = AngleRange { start: from(bearings[0]), width };
+                let missed = AngleRange { start: from(bearings[1]), width: units(0.5) as u16 };
+                let track = Track {
+                    visible: Sector { range, ends: [distance_units(*seen); 2] },
+                    missed: if *is_missed { missed } else { AngleRange::default() },
+                    ..Track::default()
+                };
+                let number = grid.tiles.find_or_make(place);
+                let evidence = grid.tiles.at_mut(number).evidence.get_or_insert_default();
+                evidence.fill([(returns, track)].into_iter());
+            }
+        }
+        grid.decide();
+        points.map(|[x, y]| {
+            let (place, column, row) = CellIndex::of(x, y, CELL).split();
+            let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
+            evidence.and_then(|evidence| evidence.at(column, row)).expect("it was drawn").1.verdict
+        })
+    }
+
+    /// A mirror, seen head on from y = 0, what stands before it, and the image of that.
+    fn mirror() -> [Row; 3] {
+        let seen = |y: f64, middle: f64, is_missed| Row {
+            x: [0.0, 4.4],
+            y,
+            bearings: [middle - 1.0, middle + 1.0],
+            range: y as f32,
+            is_missed,
+        };
+        [seen(2.01, -90.0, true), seen(1.01, -90.0, false), seen(3.01, -85.0, true)]
+    }
+
+    #[test]
+    fn what_a_mirror_shows_behind_it_is_an_image() {
+        let points = [[1.01, 2.01], [1.01, 1.01], [1.01, 3.01]];
+        assert_eq!(verdicts(&mirror(), points), [Verdict::Surface, Verdict::Solid, Verdict::Image]);
+        let [mirror, _, image] = mirror();
+        // Without anything that it could be the image of, and with no beam where that would stand: nothing is known.
+        assert_eq!(verdicts(&[mirror, image], [points[0], points[2]]), [Verdict::Surface; 2]);
+    }
+
+    #[test]
+    fn an_image_reflects_nothing() {
+        // A box behind the image, seen past the mirror's end through the image: mirrored there, it would be at the mirror.
+        let box_ = Row { x: [1.4, 1.6], y: 4.01, bearings: [-24.0, -23.0], range: 3.8, is_missed: false };
+        let rows: Vec<Row> = mirror().into_iter().chain([box_]).collect();
+        assert_eq!(verdicts(&rows, [[1.51, 4.01], [1.01, 3.01]]), [Verdict::Solid, Verdict::Image]);
+    }
 
     #[test]
     fn glass_reflects_a_little_ahead_and_nearly_all_at_grazing_incidence() {
