@@ -18,8 +18,9 @@ use super::{
     reflection::{self, Image, Opacity, ROUNDS, Sources},
     squares::{Reach, Squares, SquaresAround},
     surface::Window,
-    tiles::TileIndex,
+    tiles::{SIDE, TileIndex},
     verdict::Verdict,
+    view::Place,
     visagge::{Evidence, Tile, Visagge, place_of},
 };
 use std::cell::OnceCell;
@@ -287,25 +288,32 @@ impl Evidence {
     }
 
     fn take_shapes(&mut self, shapes: Vec<(usize, Shape)>, change: &mut Change) {
-        let mut mirrors = self.mirrors.take().map(|mirrors| mirrors.into_all()).unwrap_or_default();
-        let mut are_others = false;
+        let before = self.mirrors.take();
+        let mut mirrors: Vec<(Place, Mirror)> = Vec::new();
+        let mut judged = [0u64; SIDE as usize];
         for (number, Shape { verdict, mirror, reach }) in shapes {
             let judgement = &mut self.judgements[number];
             (judgement.shape, judgement.reach) = (verdict, reach);
-            let place = place_of(self.cells.returns[number].place);
-            let before = mirrors.get(&place).map(|before| before.mirror);
-            judgement.image_is_due |= before.is_some() != mirror.is_some();
-            are_others |= before != mirror;
-            match mirror {
-                Some(mirror) => mirrors.entry(place).or_insert(mirror.into()).mirror = mirror,
-                None => drop(mirrors.remove(&place)),
-            }
+            let [column, row] = self.cells.returns[number].place;
+            let place = place_of([column, row]);
+            let was_mirror = before.as_ref().is_some_and(|before| before.get(place).is_some());
+            judgement.image_is_due |= was_mirror != mirror.is_some();
+            judged[usize::from(row)] |= 1 << column;
+            mirrors.extend(mirror.map(|mirror| (place, mirror)));
         }
-        let count = mirrors.len();
-        mirrors.retain(|place, _| self.slots.get(*place).is_some());
-        are_others |= mirrors.len() != count;
+        let others = before.iter().flat_map(|before| before.iter());
+        mirrors.extend(
+            others
+                .filter(|(place, _)| judged[usize::from(place >> 6)] >> (place & 63) & 1 == 0)
+                .filter(|(place, _)| self.slots.get(*place).is_some())
+                .map(|(place, mirror)| (place, *mirror)),
+        );
+        self.mirrors = Mirrors::of(mirrors, before.as_deref()).map(Box::new);
+        let are_others = match (&before, &self.mirrors) {
+            (Some(before), Some(mirrors)) => !mirrors.are(before),
+            (before, mirrors) => before.is_some() != mirrors.is_some(),
+        };
         change.mirrors = [are_others; ROUNDS];
-        self.mirrors = Mirrors::of(mirrors).map(Box::new);
         let shaped = self.rows(|judgement| judgement.shape.is_shown());
         change.shaped = shaped != self.shaped;
         change.judged = true;
@@ -340,7 +348,7 @@ impl Evidence {
     /// Whether the cell with this number is a mirror.
     fn is_mirror(&self, number: usize) -> bool {
         let place = place_of(self.cells.returns[number].place);
-        self.mirrors.as_ref().is_some_and(|mirrors| mirrors.has(place))
+        self.mirrors.as_ref().is_some_and(|mirrors| mirrors.get(place).is_some())
     }
 
     /// Takes note of which mirrors reflect in a round. Gives whether others did.

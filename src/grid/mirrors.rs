@@ -1,7 +1,6 @@
 //! The cells of a tile that something may be seen through or in, and all that images are judged by of them.
 
 use super::{angle::AngleRange, reflection::ROUNDS, surface::Line, tiles::SIDE, view::Place};
-use std::collections::BTreeMap;
 
 /// What images are judged by of such a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,118 +11,142 @@ pub struct Mirror {
     pub visible: AngleRange,
 }
 
-/// One of a tile, and whether it reflects in each round of [`super::reflection`].
-#[derive(Clone, Debug)]
-pub struct Reflecting {
-    pub mirror: Mirror,
-    rounds: [bool; ROUNDS],
-}
+/// A bit for each of some cells of a tile, a word a row.
+type Rows = [u64; SIDE as usize];
 
-impl From<Mirror> for Reflecting {
-    /// Until something else is known, it does.
-    fn from(mirror: Mirror) -> Reflecting {
-        Reflecting { mirror, rounds: [true; ROUNDS] }
-    }
-}
-
-/// Those of a tile.
+/// Those of a tile, and which of them reflect in each round of [`super::reflection`].
 #[derive(Clone, Debug)]
 pub struct Mirrors {
-    mirrors: BTreeMap<Place, Reflecting>,
-    /// A bit for each of them, a word a row.
-    rows: [u64; SIDE as usize],
-    /// A bit for each cell that is one of these or beside one.
-    near: [u64; SIDE as usize],
-    /// For each square of 8 x 8 cells, row by row, how many squares away the nearest one is that holds such a cell.
-    away: [u8; SQUARES * SQUARES],
+    /// By their places.
+    mirrors: Vec<Mirror>,
+    /// How many there are in the rows before each.
+    before: [u16; SIDE as usize],
+    /// Those that reflect, round by round; in the first, all of them.
+    reflecting: [Reflecting; ROUNDS],
 }
 
-/// Squares along the side of a tile, and cells along that of a square.
-const SQUARES: usize = 8;
-const CELLS: usize = SIDE as usize / SQUARES;
+/// Those of a tile that reflect in a round.
+#[derive(Clone, Debug)]
+pub struct Reflecting {
+    rows: Rows,
+    /// The same cells and those beside them, a word for each square of 8 x 8 cells, row by row.
+    near: [u64; SIDE as usize],
+    /// Which of these words have a bit set.
+    squares: u64,
+}
 
-impl Mirrors {
-    /// `None` where there are none.
-    pub fn of(mirrors: BTreeMap<Place, Reflecting>) -> Option<Mirrors> {
-        if mirrors.is_empty() {
-            return None;
+impl From<Rows> for Reflecting {
+    fn from(rows: Rows) -> Reflecting {
+        let mut near = [0; SIDE as usize];
+        let mut squares = 0;
+        for row in 0..SIDE as usize {
+            let [below, above] =
+                [row.wrapping_sub(1), row + 1].map(|row| rows.get(row).copied().unwrap_or(0));
+            let cells = rows[row] | rows[row] << 1 | rows[row] >> 1 | below | above;
+            if cells != 0 {
+                for (square, cells) in (row & 0o70..).zip(cells.to_le_bytes()) {
+                    near[square] |= u64::from(cells) << (8 * (row & 7));
+                    squares |= u64::from(cells != 0) << square;
+                }
+            }
         }
-        let mut rows = [0; SIDE as usize];
-        mirrors.keys().for_each(|place| rows[usize::from(place >> 6)] |= 1 << (place & 63));
-        let near = std::array::from_fn(|row| {
-            let beside = [row.wrapping_sub(1), row + 1].map(|row| rows.get(row).copied().unwrap_or(0));
-            rows[row] | rows[row] << 1 | rows[row] >> 1 | beside[0] | beside[1]
-        });
-        Some(Mirrors { mirrors, rows, near, away: away(&near) })
+        Reflecting { rows, near, squares }
+    }
+}
+
+impl Reflecting {
+    /// A bit for each square of 8 x 8 cells that holds one of these or a cell beside one, row by row.
+    pub fn squares(&self) -> u64 {
+        self.squares
     }
 
-    /// All of them, by their places in the tile.
-    pub fn into_all(self) -> BTreeMap<Place, Reflecting> {
-        self.mirrors
+    /// A bit for each cell of a square that is one of these or beside one, row by row.
+    pub fn near(&self, square: usize) -> u64 {
+        self.near[square]
     }
 
-    /// Whether the cell at this place is one of them.
-    pub fn has(&self, place: Place) -> bool {
-        self.rows[usize::from(place >> 6)] >> (place & 63) & 1 == 1
-    }
-
-    /// From now on, those reflect in a round for whose places this holds. Gives whether others did.
-    pub fn set_reflecting(&mut self, round: usize, holds: impl Fn(Place) -> bool) -> bool {
-        let mut are_others = false;
-        for (place, mirror) in &mut self.mirrors {
-            let before = std::mem::replace(&mut mirror.rounds[round], holds(*place));
-            are_others |= before != mirror.rounds[round];
-        }
-        are_others
-    }
-
-    /// A rectangle around the cell in this column and row in which none is near: column and row of its lower left cell, and of the one
-    /// beyond its upper right one.
-    pub fn clear_around(&self, column: usize, row: usize) -> Option<[[u8; 2]; 2]> {
-        let square = [column / CELLS, row / CELLS];
-        let away = usize::from(self.away[square[1] * SQUARES + square[0]]);
-        let low = square.map(|at| (CELLS * (at + 1).saturating_sub(away)) as u8);
-        let high = square.map(|at| (CELLS * (at + away).min(SQUARES)) as u8);
-        (away > 0).then_some([low, high])
-    }
-
-    /// The one in this column and row, or beside, that reflects in this round.
-    pub fn near(&self, column: usize, row: usize, round: usize) -> Option<&Mirror> {
-        if self.near[row] >> column & 1 == 0 {
-            return None;
-        }
+    /// Place of the one in this column and row, or beside, where one is near.
+    pub fn nearest(&self, column: usize, row: usize) -> Option<Place> {
         [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
             .into_iter()
             .map(|(x, y)| (column as i32 + x, row as i32 + y))
             .filter(|(x, y)| (0..SIDE).contains(x) && (0..SIDE).contains(y))
+            .find(|(x, y)| self.rows[*y as usize] >> x & 1 == 1)
             .map(|(x, y)| (y << 6 | x) as Place)
-            .filter(|place| self.has(*place))
-            .filter_map(|place| self.mirrors.get(&place))
-            .find(|mirror| mirror.rounds[round])
-            .map(|mirror| &mirror.mirror)
-    }
-
-    /// Memory that they hold (bytes), but for what the tree takes beside its entries.
-    pub fn bytes(&self) -> usize {
-        size_of_val(self) + self.mirrors.len() * size_of::<(Place, Reflecting)>()
     }
 }
 
-/// See [`Mirrors::away`].
-fn away(near: &[u64; SIDE as usize]) -> [u8; SQUARES * SQUARES] {
-    // A bit for each square that holds a cell, or has been reached from there.
-    let mut reached: [u8; SQUARES] = std::array::from_fn(|y| {
-        let row = near[y * CELLS..][..CELLS].iter().fold(0, |all, row| all | row);
-        (0..SQUARES).fold(0, |squares, x| squares | u8::from(row >> (x * CELLS) & 0xff != 0) << x)
-    });
-    let mut away = [0; SQUARES * SQUARES];
-    while reached != [u8::MAX; SQUARES] {
-        for (square, away) in away.iter_mut().enumerate() {
-            *away += u8::from(reached[square / SQUARES] >> (square % SQUARES) & 1 == 0);
+impl Mirrors {
+    /// These, each at its place; `None` where there are none. Until something else is known, those reflect that were not `before`.
+    pub fn of(mut mirrors: Vec<(Place, Mirror)>, before: Option<&Mirrors>) -> Option<Mirrors> {
+        if mirrors.is_empty() {
+            return None;
         }
-        let wider = reached.map(|row| row | row << 1 | row >> 1);
-        let row = |y: usize| wider.get(y).copied().unwrap_or(0);
-        reached = std::array::from_fn(|y| row(y.wrapping_sub(1)) | row(y) | row(y + 1));
+        mirrors.sort_unstable_by_key(|(place, _)| *place);
+        let mut rows: Rows = [0; SIDE as usize];
+        mirrors.iter().for_each(|(place, _)| rows[usize::from(place >> 6)] |= 1 << (place & 63));
+        let mut count = 0;
+        let counts = rows.map(|row| {
+            count += row.count_ones() as u16;
+            count - row.count_ones() as u16
+        });
+        let reflecting = std::array::from_fn(|round| {
+            let not = |row: usize| {
+                before.map_or(0, |before| before.rows()[row] & !before.reflecting[round].rows[row])
+            };
+            Reflecting::from(std::array::from_fn(|row| rows[row] & !not(row)))
+        });
+        let mirrors = mirrors.into_iter().map(|(_, mirror)| mirror).collect();
+        Some(Mirrors { mirrors, before: counts, reflecting })
     }
-    away
+
+    fn rows(&self) -> &Rows {
+        &self.reflecting[0].rows
+    }
+
+    /// All of them, by their places in the tile.
+    pub fn iter(&self) -> impl Iterator<Item = (Place, &Mirror)> {
+        let places = self.rows().iter().enumerate().flat_map(|(row, &cells)| {
+            (0..SIDE as Place)
+                .filter(move |column| cells >> column & 1 == 1)
+                .map(move |column| (row as Place) << 6 | column)
+        });
+        places.zip(&self.mirrors)
+    }
+
+    /// The cell at this place, if it is one of them.
+    pub fn get(&self, place: Place) -> Option<&Mirror> {
+        let (row, column) = (usize::from(place >> 6), place & 63);
+        let cells = self.rows()[row];
+        let number = self.before[row] as u32 + (cells & ((1 << column) - 1)).count_ones();
+        (cells >> column & 1 == 1).then(|| &self.mirrors[number as usize])
+    }
+
+    /// Those that reflect in this round.
+    pub fn reflecting(&self, round: usize) -> &Reflecting {
+        &self.reflecting[round]
+    }
+
+    /// From now on, those reflect in a round for whose places this holds. Gives whether others did.
+    pub fn set_reflecting(&mut self, round: usize, holds: impl Fn(Place) -> bool) -> bool {
+        let mut rows: Rows = [0; SIDE as usize];
+        for (place, _) in self.iter().filter(|(place, _)| holds(*place)) {
+            rows[usize::from(place >> 6)] |= 1 << (place & 63);
+        }
+        let are_others = rows != self.reflecting[round].rows;
+        if are_others {
+            self.reflecting[round] = rows.into();
+        }
+        are_others
+    }
+
+    /// Whether these are the same.
+    pub fn are(&self, others: &Mirrors) -> bool {
+        self.rows() == others.rows() && self.mirrors == others.mirrors
+    }
+
+    /// Memory that they hold (bytes).
+    pub fn bytes(&self) -> usize {
+        size_of_val(self) + self.mirrors.capacity() * size_of::<Mirror>()
+    }
 }

@@ -13,7 +13,7 @@ use super::{
     cell::Cell,
     idea::Idea,
     mirrors::Mirror,
-    tiles::{CellIndex, SIDE, TileIndex},
+    tiles::{CellIndex, SIDE, TileIndex, floor},
     visagge::Visagge,
 };
 use std::collections::BTreeMap;
@@ -257,10 +257,10 @@ struct Sight {
 fn explained(grid: &Visagge, sight: &Sight, sources: &mut Sources) -> Image {
     let mut image = Image::No;
     let Sight { from: sensor, to: point, range, .. } = *sight;
-    let bearing = (sensor[1] - point[1]).atan2(sensor[0] - point[0]);
-    let seen_from = Angle::from_rad(bearing);
     let Sources { crossed, sought } = sources;
     cross(grid, sight, crossed, |index, Mirror { line, visible }, distance| {
+        let bearing = (sensor[1] - point[1]).atan2(sensor[0] - point[0]);
+        let seen_from = Angle::from_rad(bearing);
         // What was always seen from this direction was not seen through.
         let inside = visible.depth(AngleRange::at(seen_from), 0);
         if inside > units(INSIDE) as i32 {
@@ -277,9 +277,9 @@ fn explained(grid: &Visagge, sight: &Sight, sources: &mut Sources) -> Image {
         let to_sensor = distance_to(sensor);
         let explains = to_sensor <= BODY + tolerance || grid.is_mapped_near(mirrored, tolerance, sought);
         let by_glass =
-            range <= SEES * glass_reflects(line.off_normal(bearing)) || !grid.settings.has(Idea::Fresnel);
+            || range <= SEES * glass_reflects(line.off_normal(bearing)) || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
-            (true, _) if by_glass => Image::Yes,
+            (true, _) if by_glass() => Image::Yes,
             (true, _) => Image::IfOpaque(block),
             (false, Image::No) if grid.is_crossed(mirrored, sought) => Image::Unexplained(block),
             (false, Image::No) => Image::Unknown(block),
@@ -311,51 +311,85 @@ fn cross(
     // Half a cell: rows of cells that touch at their corners only are not slipped through.
     let step = resolution / 2.0;
     let end = sight.range - CLEAR_OF_CELL;
-    // Where the sight begins, and how it goes on (cells, and cells a metre).
-    let start = sight.from.map(|at| at / resolution);
-    let along = [0, 1].map(|axis| (sight.to[axis] - sight.from[axis]) / (sight.range * resolution));
+    // How many steps it is to there, the last one perhaps beyond.
+    let steps = |distance: f64, to: f64| {
+        let steps = (to - distance) / step;
+        let whole = steps as u32;
+        whole + u32::from(f64::from(whole) < steps)
+    };
+    let course = Course::of(sight, resolution);
     let mut distance = CLEAR_OF_SENSOR;
     while distance < end {
-        let at = |axis: usize| (start[axis] + along[axis] * distance).floor() as i32;
-        let (place, ..) = CellIndex { x: at(0), y: at(1) }.split();
+        let place = course.tile(distance);
         crossed.insert(place);
-        let corner = place.cell(0, 0);
-        let in_tile =
-            Course { start: [start[0] - f64::from(corner.x), start[1] - f64::from(corner.y)], along };
+        let course = course.inside(place);
+        let leaves = course.leaves(f64::from(SIDE));
         let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
         let Some(mirrors) = evidence.and_then(|evidence| evidence.mirrors.as_ref()) else {
-            distance = in_tile.leaves([[0; 2], [SIDE as u8; 2]]).max(distance) + step / 8.0;
+            distance = leaves.max(distance) + step / 8.0;
             continue;
         };
-        while distance < end {
-            let [column, row] = in_tile.cell(distance);
-            if let Some(clear) = mirrors.clear_around(column, row) {
-                let left = in_tile.leaves(clear) - distance;
-                // Whole steps, so that looking at all of them would find the same.
-                distance += step * f64::from((left / step).max(1.0) as u32);
-            } else {
-                let mirror = mirrors.near(column, row, sight.round);
+        let reflecting = mirrors.reflecting(sight.round);
+        let mut squares = reflecting.squares() & course.squares(distance, leaves.min(end));
+        while squares != 0 {
+            let square = course.first(squares);
+            squares &= !(1 << square);
+            let [enters, leaves] = course.crosses(square);
+            if enters > leaves {
+                continue;
+            }
+            distance += step * f64::from(steps(distance, enters));
+            loop {
+                let most = steps(distance, end);
+                let (count, cell) = course.go_on(square, reflecting.near(square), distance, step, most);
+                distance += step * f64::from(count);
+                let Some([column, row]) = cell else { break };
+                let mirror = reflecting.nearest(column, row).and_then(|place| mirrors.get(place));
                 if mirror.is_some_and(|mirror| visit(place.cell(column, row), mirror, distance)) {
                     return;
                 }
-                distance += if mirror.is_some() { THICKNESS } else { step };
+                distance += THICKNESS;
             }
-            if !in_tile.is_inside(distance) {
-                break;
-            }
+        }
+        distance += step * f64::from(steps(distance, leaves));
+        if course.is_inside(distance) {
+            distance += step;
         }
     }
 }
 
-/// The course of a line of sight in the columns and rows of a tile.
+/// The course of a line of sight.
+#[derive(Clone, Copy)]
 struct Course {
     /// Where it begins (cells).
     start: [f64; 2],
-    /// How it goes on (cells a metre).
+    /// How it goes on (cells a metre), and the inverse.
     along: [f64; 2],
+    inverse: [f64; 2],
+    /// Columns that it crosses for each row.
+    slope: f64,
 }
 
 impl Course {
+    fn of(sight: &Sight, resolution: f64) -> Course {
+        let along = [0, 1].map(|axis| (sight.to[axis] - sight.from[axis]) / (sight.range * resolution));
+        // No negative zeros.
+        let inverse = along.map(|along| 1.0 / (along + 0.0));
+        Course { start: sight.from.map(|at| at / resolution), along, inverse, slope: along[0] * inverse[1] }
+    }
+
+    /// The tile that it is in there (m).
+    fn tile(&self, distance: f64) -> TileIndex {
+        let [x, y] = self.at(distance).map(floor);
+        CellIndex { x, y }.split().0
+    }
+
+    /// The same course, in columns and rows of a tile.
+    fn inside(self, tile: TileIndex) -> Course {
+        let corner = tile.cell(0, 0);
+        Course { start: [self.start[0] - f64::from(corner.x), self.start[1] - f64::from(corner.y)], ..self }
+    }
+
     fn at(&self, distance: f64) -> [f64; 2] {
         [0, 1].map(|axis| self.start[axis] + self.along[axis] * distance)
     }
@@ -365,20 +399,70 @@ impl Course {
         self.at(distance).iter().all(|at| (0.0..f64::from(SIDE)).contains(at))
     }
 
-    /// Column and row there (m); of the tile's cells the nearest.
-    fn cell(&self, distance: f64) -> [usize; 2] {
-        self.at(distance).map(|at| (at as i32).clamp(0, SIDE - 1) as usize)
+    /// Goes on from there (m) in steps, to the first of these cells in the square of 8 x 8 with this number (a bit for each, row by row).
+    /// Gives how many steps that takes, and column and row; without them where the square is left before, or there were so many.
+    fn go_on(&self, square: usize, cells: u64, from: f64, step: f64, most: u32) -> (u32, Option<[usize; 2]>) {
+        // Whole numbers: rounding down is a shift. 2^-40 of a cell a step is less than all else rounds.
+        const ONE: f64 = (1u64 << 40) as f64;
+        let mut at = self.at(from).map(|at| (at * ONE) as i64);
+        let along = self.along.map(|along| (along * step * ONE) as i64);
+        let low = [square & 7, square >> 3].map(|at| 8 * at as i64);
+        for count in 0..most {
+            let [x, y] = [(at[0] >> 40) - low[0], (at[1] >> 40) - low[1]];
+            if (x | y) & !7 != 0 {
+                return (count, None);
+            }
+            if cells >> (8 * y + x) & 1 == 1 {
+                return (count, Some([(low[0] + x) as usize, (low[1] + y) as usize]));
+            }
+            at = [at[0] + along[0], at[1] + along[1]];
+        }
+        (most, None)
     }
 
-    /// Distance at which it leaves a rectangle of cells that it is in (m): from its lower left cell to before the one beyond the upper
-    /// right.
-    fn leaves(&self, [low, high]: [[u8; 2]; 2]) -> f64 {
-        let along = |axis: usize| {
-            let border = f64::from(if self.along[axis] > 0.0 { high[axis] } else { low[axis] });
-            let to_border = (border - self.start[axis]) / self.along[axis];
-            if self.along[axis] == 0.0 { f64::INFINITY } else { to_border }
-        };
-        along(0).min(along(1))
+    /// Distance at which it leaves the square between 0 and this in x and y, which it is in (m).
+    fn leaves(&self, side: f64) -> f64 {
+        let [x, y] = [0, 1].map(|axis| {
+            let border = if self.along[axis] >= 0.0 { side } else { 0.0 };
+            (border - self.start[axis]) * self.inverse[axis]
+        });
+        x.min(y)
+    }
+
+    /// Distances at which it enters and leaves the square of 8 x 8 cells with this number (m).
+    fn crosses(&self, square: usize) -> [f64; 2] {
+        let [x, y] = [0, 1].map(|axis| {
+            let low = ((square >> (3 * axis) & 7) * 8) as f64;
+            let [first, last] = if self.along[axis] >= 0.0 { [low, low + 8.0] } else { [low + 8.0, low] };
+            [first, last].map(|border| (border - self.start[axis]) * self.inverse[axis])
+        });
+        [x[0].max(y[0]), x[1].min(y[1])]
+    }
+
+    /// The squares of 8 x 8 cells that it crosses between two distances (m) within the tile: a bit for each, row by row.
+    fn squares(&self, from: f64, to: f64) -> u64 {
+        let ends = [from, to].map(|distance| self.at(distance).map(|at| at / 8.0));
+        let [low, high] = if self.along[1] >= 0.0 { ends } else { [ends[1], ends[0]] };
+        let square = |at: f64| (at as i32).clamp(0, 7);
+        let (first, last) = (square(low[1]), square(high[1]));
+        let (mut squares, mut x) = (0, low[0]);
+        for row in first..=last {
+            let leaves =
+                if row == last { high[0] } else { low[0] + (f64::from(row + 1) - low[1]) * self.slope };
+            // A little more than that, for what lies on a border.
+            let (left, right) = (square(x.min(leaves) - 1e-6), square(x.max(leaves) + 1e-6));
+            squares |= ((2 << right) - (1 << left)) << (8 * row);
+            x = leaves;
+        }
+        squares
+    }
+
+    /// Which of these squares it comes to first.
+    fn first(&self, squares: u64) -> usize {
+        let row = if self.along[1] >= 0.0 { squares.trailing_zeros() } else { squares.ilog2() } / 8;
+        let columns = squares >> (8 * row) & 0xff;
+        let column = if self.along[0] >= 0.0 { columns.trailing_zeros() } else { columns.ilog2() };
+        (8 * row + column) as usize
     }
 }
 

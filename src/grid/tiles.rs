@@ -33,7 +33,7 @@ impl CellIndex {
 }
 
 /// Rounded down; without SSE4.1, `f64::floor` is a call.
-fn floor(number: f64) -> i32 {
+pub(super) fn floor(number: f64) -> i32 {
     let whole = number as i32;
     whole.saturating_sub(i32::from(f64::from(whole) > number))
 }
