@@ -97,6 +97,11 @@ impl Returns {
         }
     }
 
+    /// The cell's place in the map, in this tile.
+    pub fn index(&self, tile: TileIndex) -> CellIndex {
+        tile.cell(usize::from(self.place[0]), usize::from(self.place[1]))
+    }
+
     /// Core step 1: a return at this place in the cell (cells, 0..1).
     pub fn record_hit(&mut self, at: [f32; 2], scan: u32, time: f32, rule: &Rule) {
         if self.hits == 0 {
@@ -156,7 +161,7 @@ impl Cell {
 
     /// Its place in the map, in this tile.
     pub fn index(&self, tile: TileIndex) -> CellIndex {
-        tile.cell(usize::from(self.returns.place[0]), usize::from(self.returns.place[1]))
+        self.returns.index(tile)
     }
 
     /// Mean place of its returns in the map (m), in a grid of this resolution (m), `index` being its place there.

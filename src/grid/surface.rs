@@ -116,6 +116,7 @@ impl Moments {
 }
 
 /// A cell in or near the tile in work.
+#[derive(Clone, Copy, Default)]
 struct Neighbour {
     at: [f64; 2],
     seen_from: Angle,
@@ -128,9 +129,11 @@ struct Neighbour {
 pub struct Window {
     origin: CellIndex,
     resolution: f64,
-    slots: Vec<u16>,
     /// A bit for each cell with evidence, a word a row.
     rows: [u128; WINDOW as usize],
+    /// Which number each of these has.
+    slots: Vec<u16>,
+    /// By number: row by row, and in each from left to right.
     cells: Vec<Neighbour>,
 }
 
@@ -141,28 +144,42 @@ impl Window {
         let mut window = Window {
             origin: CellIndex { x: corner.x - MARGIN, y: corner.y - MARGIN },
             resolution: grid.resolution,
-            slots: vec![u16::MAX; (WINDOW * WINDOW) as usize],
             rows: [0; WINDOW as usize],
+            slots: vec![0; (WINDOW * WINDOW) as usize],
             cells: Vec::new(),
         };
+        let mut found = Vec::new();
         for (dx, dy) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))) {
             let place = TileIndex { x: place.x + dx, y: place.y + dy };
             let Some(evidence) = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref()) else {
                 continue;
             };
-            for cell in evidence.cells.iter() {
-                let index = cell.index(place);
-                if let Some(slot) = window.slot(index) {
-                    window.slots[slot] = window.cells.len() as u16;
-                    window.rows[slot / WINDOW as usize] |= 1 << (slot % WINDOW as usize);
-                    window.cells.push(Neighbour {
-                        at: cell.returns_at(index, grid.resolution),
-                        seen_from: cell.visible.range.middle(),
-                        weight: f64::from(cell.returns.occupancy.min(WEIGHT)),
-                        is_solid: is_solid(&cell, &grid.settings),
-                    });
+            for (number, returns) in evidence.cells.returns.iter().enumerate() {
+                let index = returns.index(place);
+                let [x, y] = window.inside(index);
+                if (0..WINDOW).contains(&x) && (0..WINDOW).contains(&y) {
+                    window.rows[y as usize] |= 1 << x;
+                    found.push(((y * WINDOW + x) as usize, index, evidence, number));
                 }
             }
+        }
+        let mut count = 0;
+        for (row, mut cells) in window.rows.into_iter().enumerate() {
+            while cells != 0 {
+                window.slots[row * WINDOW as usize + cells.trailing_zeros() as usize] = count;
+                count += 1;
+                cells &= cells - 1;
+            }
+        }
+        window.cells.resize(found.len(), Neighbour::default());
+        for (slot, index, evidence, number) in found {
+            let cell = evidence.cells.get(number);
+            window.cells[usize::from(window.slots[slot])] = Neighbour {
+                at: cell.returns_at(index, grid.resolution),
+                seen_from: cell.visible.range.middle(),
+                weight: f64::from(cell.returns.occupancy.min(WEIGHT)),
+                is_solid: is_solid(&cell, &grid.settings),
+            };
         }
         window
     }
@@ -178,13 +195,13 @@ impl Window {
         let seen_from = cell.visible.range.middle();
         let (sin, cos) = seen_from.rad().sin_cos();
         let mut moments = Moments::default();
-        for neighbour in self.near(index, seen_from, same_view) {
+        self.near(index, seen_from, same_view, |neighbour| {
             let to = [neighbour.at[0] - origin[0], neighbour.at[1] - origin[1]];
             let (depth, across) = (to[0] * cos + to[1] * sin, to[1] * cos - to[0] * sin);
             if depth.abs() <= PATCH_DEPTH && across.abs() <= PATCH_HALF {
                 moments.add(to, neighbour.weight);
             }
-        }
+        });
         let patch = moments.line(origin)?;
         let long = self
             .lengthened(&patch, origin, seen_from, same_view, reach)
@@ -198,14 +215,14 @@ impl Window {
         let (sin, cos) = f64::from(line.normal).sin_cos();
         let [x, y] = line.at.map(f64::from);
         let (mut on, mut off) = (0.0, 0.0);
-        for neighbour in self.near(index, seen_from, units(SAME_VIEW)) {
+        self.near(index, seen_from, units(SAME_VIEW), |neighbour| {
             let distance = ((neighbour.at[0] - x) * cos + (neighbour.at[1] - y) * sin).abs();
             if distance <= ON_LINE {
                 on += neighbour.weight;
             } else if distance <= CLUTTER && !neighbour.is_solid {
                 off += neighbour.weight;
             }
-        }
+        });
         // Where its own cell is not on the line, there may be nothing at all.
         if on > 0.0 { (on / (on + off)) as f32 } else { 0.0 }
     }
@@ -223,20 +240,24 @@ impl Window {
             return None;
         }
         let (sin, cos) = f64::from(patch.normal).sin_cos();
-        let start = patch.at.map(f64::from);
+        // Columns and rows of the window, in whole numbers: rounding down is a shift. 2^-40 of a cell a step is less than all else rounds.
+        const ONE: f64 = (1u64 << 40) as f64;
+        let whole = |cells: f64| (cells * ONE) as i64;
+        let start = [(patch.at[0], self.origin.x), (patch.at[1], self.origin.y)]
+            .map(|(at, origin)| whole(f64::from(at) / self.resolution - f64::from(origin)));
+        let [across, along] = [[cos, sin], [-sin, cos]].map(|way| way.map(whole));
         let mut moments = Moments::default();
         for side in [1, -1] {
             let mut since = 0;
-            for step in (1 - side.max(0))..=MARGIN {
+            let mut step = 1 - i64::from(side == 1);
+            let at = |step: i64, depth: i64| {
+                [0, 1].map(|axis| (start[axis] + side * step * along[axis] + depth * across[axis] >> 40) as i32)
+            };
+            while step <= i64::from(MARGIN) && since <= BRIDGE {
                 let mut found = false;
                 for depth in -1..=1 {
-                    let along = f64::from(step * side) * self.resolution;
-                    let depth = f64::from(depth) * self.resolution;
-                    let point = [start[0] - sin * along + cos * depth, start[1] + cos * along + sin * depth];
-                    let index = CellIndex::of(point[0], point[1], self.resolution);
-                    reach.extend(self.inside(index));
-                    let Some(neighbour) = self.at(index) else { continue };
-                    if neighbour.seen_from.distance(seen_from) <= same_view {
+                    let neighbour = self.at(at(step, depth));
+                    if let Some(neighbour) = neighbour.filter(|it| it.seen_from.distance(seen_from) <= same_view) {
                         moments.add(
                             [neighbour.at[0] - origin[0], neighbour.at[1] - origin[1]],
                             neighbour.weight,
@@ -245,9 +266,11 @@ impl Window {
                     }
                 }
                 since = if found { 0 } else { since + 1 };
-                if since > BRIDGE {
-                    break;
-                }
+                step += 1;
+            }
+            // What lies between is in the rectangle around the corners.
+            for depth in [-1, 1] {
+                reach.extend(at(step - 1, depth).map(|at| at.clamp(0, WINDOW - 1)));
             }
         }
         moments.line(origin)
@@ -258,28 +281,24 @@ impl Window {
         [index.x - self.origin.x, index.y - self.origin.y]
     }
 
-    fn slot(&self, index: CellIndex) -> Option<usize> {
-        let [x, y] = self.inside(index);
-        ((0..WINDOW).contains(&x) && (0..WINDOW).contains(&y)).then_some((y * WINDOW + x) as usize)
+    /// The cell in this column and row.
+    fn at(&self, [x, y]: [i32; 2]) -> Option<&Neighbour> {
+        let row = self.rows.get(y as usize)?;
+        let is_there = (0..WINDOW).contains(&x) && row >> x & 1 == 1;
+        is_there.then(|| &self.cells[usize::from(self.slots[(y * WINDOW + x) as usize])])
     }
 
-    fn at(&self, index: CellIndex) -> Option<&Neighbour> {
-        self.slot(index).and_then(|slot| self.cells.get(usize::from(self.slots[slot])))
-    }
-
-    fn near(&self, index: CellIndex, seen_from: Angle, same_view: u32) -> impl Iterator<Item = &Neighbour> {
+    /// Visits the cells around one of the tile's that were seen from about the same direction.
+    fn near(&self, index: CellIndex, seen_from: Angle, same_view: u32, mut visit: impl FnMut(&Neighbour)) {
         // A tile's cells are farther from the window's border than that.
-        let [left, bottom] = self.inside(index).map(|at| at - PATCH);
-        (bottom..=bottom + 2 * PATCH)
-            .flat_map(move |row| {
-                let mut found = self.rows[row as usize] >> left & ((2 << (2 * PATCH)) - 1);
-                std::iter::from_fn(move || {
-                    let column = (found != 0).then(|| left + found.trailing_zeros() as i32)?;
-                    found &= found - 1;
-                    Some((row * WINDOW + column) as usize)
-                })
-            })
-            .map(|slot| &self.cells[usize::from(self.slots[slot])])
-            .filter(move |neighbour| neighbour.seen_from.distance(seen_from) <= same_view)
+        let [left, bottom] = self.inside(index).map(|at| (at - PATCH) as usize);
+        for row in bottom..=bottom + 2 * PATCH as usize {
+            let cells = (self.rows[row] >> left) as u32 & ((2 << (2 * PATCH)) - 1);
+            if cells != 0 {
+                let first = self.slots[row * WINDOW as usize + left + cells.trailing_zeros() as usize];
+                let cells = &self.cells[usize::from(first)..][..cells.count_ones() as usize];
+                cells.iter().filter(|cell| cell.seen_from.distance(seen_from) <= same_view).for_each(&mut visit);
+            }
+        }
     }
 }
