@@ -8,7 +8,6 @@ use super::{
     track::{Event, Track, UNITS_PER_M},
     view::SEEN_AGAIN,
 };
-use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// The rule of the core algorithm, in numbers.
 #[derive(Clone, Copy, Debug)]
@@ -173,15 +172,29 @@ impl Cell {
     /// A number that is another one as soon as anything is that the cell is judged by: all of it but when it was observed.
     pub fn fingerprint(&self) -> u64 {
         let Cell { returns, visible, visible_too, missed, seen_again } = self;
-        let mut hasher = DefaultHasher::new();
-        let floats = [returns.centroid, returns.hit_time, visible.ranges, visible_too.ranges];
-        (returns.occupancy, returns.passes, returns.hits, floats.map(|pair| pair.map(f32::to_bits)))
-            .hash(&mut hasher);
-        [visible.range, visible_too.range, *missed]
-            .map(|range| (range.start.0, range.width))
-            .hash(&mut hasher);
-        (visible_too.way >= 0.0, seen_again).hash(&mut hasher);
-        hasher.finish()
+        let pair = |[a, b]: [u32; 2]| u64::from(a) << 32 | u64::from(b);
+        let floats = |floats: [f32; 2]| pair(floats.map(f32::to_bits));
+        let range = |range: &AngleRange| u32::from(range.start.0) << 16 | u32::from(range.width);
+        let counts = u32::from_le_bytes([
+            returns.occupancy,
+            returns.passes,
+            u8::from(*seen_again),
+            u8::from(visible_too.way >= 0.0),
+        ]);
+        let words = [
+            floats(returns.centroid),
+            floats(returns.hit_time),
+            floats(visible.ranges),
+            floats(visible_too.ranges),
+            pair([range(&visible.range), range(&visible_too.range)]),
+            pair([range(missed), u32::from(returns.hits)]),
+            u64::from(counts),
+        ];
+        // Each step turns different numbers into different ones; 2^64 over the golden ratio spreads them.
+        words.into_iter().fold(0, |print: u64, word| {
+            let mixed = (print ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            mixed ^ mixed >> 32
+        })
     }
 
     /// Time from its first return to its last (s).

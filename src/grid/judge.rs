@@ -15,7 +15,7 @@
 use super::{
     idea::Idea,
     mirrors::{Mirror, Mirrors},
-    reflection::{self, Image, Opacity, ROUNDS, Sources},
+    reflection::{self, Image, Lookups, Opacity, ROUNDS, Sources},
     squares::{Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
@@ -189,9 +189,13 @@ impl Visagge {
                     let change = self.change(changes, place);
                     change.shown || change.free
                 });
+            if !all && !evidence.judgements.iter().any(|judgement| judgement.image_is_due) {
+                continue;
+            }
             // Begun anew in the first round, when all of all rounds is judged anew.
             let anew = all && round == 0;
-            let mut sources = if anew { Sources::default() } else { evidence.sources.clone() };
+            let sources = if anew { Sources::default() } else { evidence.sources.clone() };
+            let mut lookups = Lookups::from(sources);
             let images: Vec<(usize, Image)> = evidence
                 .judgements
                 .iter()
@@ -200,20 +204,18 @@ impl Visagge {
                 .map(|(at, judgement)| {
                     let matters = judgement.bridged.is_shown() && (is_last || evidence.is_mirror(at));
                     let image = if may_be && matters {
-                        reflection::image(self, place, &evidence.cells.get(at), round, &mut sources)
+                        reflection::image(self, place, &evidence.cells.get(at), round, &mut lookups)
                     } else {
                         Image::No
                     };
                     (at, image)
                 })
                 .collect();
-            if !images.is_empty() {
-                let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
-                evidence.sources = sources;
-                evidence.take_images(round, images);
-                changes.0[number].sources |= anew;
-                changes.0[number].judged = true;
-            }
+            let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
+            evidence.sources = lookups.into();
+            evidence.take_images(round, images);
+            changes.0[number].sources |= anew;
+            changes.0[number].judged = true;
         }
     }
 
@@ -234,10 +236,9 @@ impl Visagge {
             let opaque = opacity.opaque(&evidence.rounds[round].votes);
             if change.judged || opaque != evidence.rounds[round].opaque {
                 evidence.rounds[round].opaque = opaque;
-                let is_image = |judgement: &Judgement| opacity.is_image(judgement.images[round]);
                 match change.mirrors.get_mut(round + 1) {
-                    Some(mirrors) => *mirrors |= evidence.take_mirrors(round + 1, is_image),
-                    None => change.unthinned |= evidence.take_unthinned(is_image),
+                    Some(mirrors) => *mirrors |= evidence.take_mirrors(round),
+                    None => change.unthinned |= evidence.take_unthinned(),
                 }
             }
         }
@@ -351,18 +352,23 @@ impl Evidence {
         self.mirrors.as_ref().is_some_and(|mirrors| mirrors.get(place).is_some())
     }
 
-    /// Takes note of which mirrors reflect in a round. Gives whether others did.
-    fn take_mirrors(&mut self, round: usize, is_image: impl Fn(&Judgement) -> bool) -> bool {
-        let Evidence { mirrors, slots, judgements, .. } = self;
-        let is_image = |place| slots.get(place).is_some_and(|number| is_image(&judgements[number]));
-        mirrors.as_mut().is_some_and(|mirrors| mirrors.set_reflecting(round, |place| !is_image(place)))
+    /// Takes note of which mirrors reflect in the round after this. Gives whether others did.
+    fn take_mirrors(&mut self, round: usize) -> bool {
+        let Evidence { mirrors, slots, judgements, rounds, .. } = self;
+        let opaque = &rounds[round].opaque;
+        let is_image = |place| {
+            slots.get(place).is_some_and(|number| judgements[number].images[round].is_image(opaque))
+        };
+        mirrors.as_mut().is_some_and(|mirrors| mirrors.set_reflecting(round + 1, |place| !is_image(place)))
     }
 
     /// Takes note of which cells are images in the end. Gives whether others were.
-    fn take_unthinned(&mut self, is_image: impl Fn(&Judgement) -> bool) -> bool {
+    fn take_unthinned(&mut self) -> bool {
+        let opaque = &self.rounds[ROUNDS - 1].opaque;
         let mut are_others = false;
         for judgement in &mut self.judgements {
-            let verdict = if is_image(judgement) { Verdict::Image } else { judgement.bridged };
+            let is_image = judgement.images[ROUNDS - 1].is_image(opaque);
+            let verdict = if is_image { Verdict::Image } else { judgement.bridged };
             are_others |= verdict != judgement.unthinned;
             judgement.unthinned = verdict;
         }

@@ -14,7 +14,7 @@ use super::{
     idea::Idea,
     mirrors::Mirror,
     tiles::{CellIndex, SIDE, TileIndex, floor},
-    visagge::Visagge,
+    visagge::{Tile, Visagge},
 };
 use std::collections::BTreeMap;
 use std::f64::consts::SQRT_2;
@@ -85,6 +85,18 @@ impl Image {
             Image::Yes => 4,
         }
     }
+
+    /// The verdict, where the surfaces in these blocks are opaque, and no others. They are in order.
+    pub(super) fn is_image(self, opaque: &[Block]) -> bool {
+        match self {
+            Image::No => false,
+            // Through what is opaque nothing is seen, explained or not: it has moved on, or was reflected twice.
+            Image::Unexplained(block) | Image::Unknown(block) | Image::IfOpaque(block) => {
+                opaque.binary_search(&block).is_ok()
+            }
+            Image::Yes => true,
+        }
+    }
 }
 
 /// A block of cells. Packed, since each cell keeps some.
@@ -123,6 +135,53 @@ impl Sources {
     /// Memory beside itself (bytes).
     pub fn bytes(&self) -> usize {
         (self.crossed.0.capacity() + self.sought.0.capacity()) * size_of::<TileIndex>()
+    }
+}
+
+/// The same while images are judged.
+#[derive(Default)]
+pub(super) struct Lookups {
+    crossed: Lookup,
+    sought: Lookup,
+}
+
+impl From<Sources> for Lookups {
+    fn from(Sources { crossed, sought }: Sources) -> Lookups {
+        let lookup = |places| Lookup { places, noted: Vec::new() };
+        Lookups { crossed: lookup(crossed), sought: lookup(sought) }
+    }
+}
+
+impl From<Lookups> for Sources {
+    fn from(Lookups { crossed, sought }: Lookups) -> Sources {
+        Sources { crossed: crossed.places, sought: sought.places }
+    }
+}
+
+/// Looks tiles up, and takes note of where.
+#[derive(Default)]
+struct Lookup {
+    places: Places,
+    /// Bit by bit, which tiles were looked up, by their number.
+    noted: Vec<u64>,
+}
+
+impl Lookup {
+    /// The tile at this place.
+    fn tile<'a>(&mut self, grid: &'a Visagge, place: TileIndex) -> Option<&'a Tile> {
+        let Some(number) = grid.tiles.find(place) else {
+            self.places.insert(place);
+            return None;
+        };
+        if number / 64 >= self.noted.len() {
+            self.noted.resize(number / 64 + 1, 0);
+        }
+        let noted = &mut self.noted[number / 64];
+        if *noted >> (number % 64) & 1 == 0 {
+            *noted |= 1 << (number % 64);
+            self.places.insert(place);
+        }
+        Some(grid.tiles.at(number))
     }
 }
 
@@ -190,28 +249,16 @@ impl Opacity {
             .fold((0, 0), |sum, votes| (sum.0 + votes.0, sum.1 + votes.1));
         all > 0 && explained as f32 >= OPAQUE * all as f32
     }
-
-    /// The verdict.
-    pub(super) fn is_image(&self, image: Image) -> bool {
-        match image {
-            Image::No => false,
-            // Through what is opaque nothing is seen, explained or not: it has moved on, or was reflected twice.
-            Image::Unexplained(block) | Image::Unknown(block) | Image::IfOpaque(block) => {
-                self.is_opaque(block)
-            }
-            Image::Yes => true,
-        }
-    }
 }
 
-/// Whether a cell is explained as an image from everywhere it was seen, by what reflects in this round. `sources` takes in what this
+/// Whether a cell is explained as an image from everywhere it was seen, by what reflects in this round. `lookups` take in what this
 /// depends on, but for the cell.
 pub(super) fn image(
     grid: &Visagge,
     place: TileIndex,
     cell: &Cell,
     round: usize,
-    sources: &mut Sources,
+    lookups: &mut Lookups,
 ) -> Image {
     let index = cell.index(place);
     let at = |index: i32| (f64::from(index) + 0.5) * grid.resolution;
@@ -226,7 +273,7 @@ pub(super) fn image(
         for part in OBSERVERS {
             let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
             let sight = Sight { from: [point[0] + x, point[1] + y], to: point, range: x.hypot(y), round };
-            match explained(grid, &sight, sources) {
+            match explained(grid, &sight, lookups) {
                 Image::Yes => (),
                 Image::IfOpaque(block) => image = Image::IfOpaque(block),
                 other => {
@@ -254,10 +301,10 @@ struct Sight {
 }
 
 /// Whether a surface on the line of sight shows at its end what is elsewhere.
-fn explained(grid: &Visagge, sight: &Sight, sources: &mut Sources) -> Image {
+fn explained(grid: &Visagge, sight: &Sight, lookups: &mut Lookups) -> Image {
     let mut image = Image::No;
     let Sight { from: sensor, to: point, range, .. } = *sight;
-    let Sources { crossed, sought } = sources;
+    let Lookups { crossed, sought } = lookups;
     cross(grid, sight, crossed, |index, Mirror { line, visible }, distance| {
         let bearing = (sensor[1] - point[1]).atan2(sensor[0] - point[0]);
         let seen_from = Angle::from_rad(bearing);
@@ -304,7 +351,7 @@ fn glass_reflects(incidence: f64) -> f64 {
 fn cross(
     grid: &Visagge,
     sight: &Sight,
-    crossed: &mut Places,
+    crossed: &mut Lookup,
     mut visit: impl FnMut(CellIndex, &Mirror, f64) -> bool,
 ) {
     let resolution = grid.resolution;
@@ -321,10 +368,9 @@ fn cross(
     let mut distance = CLEAR_OF_SENSOR;
     while distance < end {
         let place = course.tile(distance);
-        crossed.insert(place);
         let course = course.inside(place);
         let leaves = course.leaves(f64::from(SIDE));
-        let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
+        let evidence = crossed.tile(grid, place).and_then(|tile| tile.evidence.as_ref());
         let Some(mirrors) = evidence.and_then(|evidence| evidence.mirrors.as_ref()) else {
             distance = leaves.max(distance) + step / 8.0;
             continue;
@@ -468,15 +514,14 @@ impl Course {
 
 impl Visagge {
     /// Whether a beam has crossed the point; `sought` takes in where that was looked up.
-    fn is_crossed(&self, point: [f64; 2], sought: &mut Places) -> bool {
+    fn is_crossed(&self, point: [f64; 2], sought: &mut Lookup) -> bool {
         let (place, column, row) = CellIndex::of(point[0], point[1], self.resolution).split();
-        sought.insert(place);
-        self.tiles.get(place).is_some_and(|tile| tile.free[row] >> column & 1 == 1)
+        sought.tile(self, place).is_some_and(|tile| tile.free[row] >> column & 1 == 1)
     }
 
     /// Whether a cell that is shown lies within this distance of the point (m), in x and in y; `sought` takes in where that was looked
     /// up.
-    fn is_mapped_near(&self, point: [f64; 2], distance: f64, sought: &mut Places) -> bool {
+    fn is_mapped_near(&self, point: [f64; 2], distance: f64, sought: &mut Lookup) -> bool {
         let low = CellIndex::of(point[0] - distance, point[1] - distance, self.resolution);
         let high = CellIndex::of(point[0] + distance, point[1] + distance, self.resolution);
         let ((first, left, bottom), (last, right, top)) = (low.split(), high.split());
@@ -488,9 +533,8 @@ impl Visagge {
                 let beyond = if x == last.x { SIDE as usize - 1 - right } else { 0 };
                 let columns = (u64::MAX << from) & (u64::MAX >> beyond);
                 let place = TileIndex { x, y };
-                sought.insert(place);
-                self.tiles
-                    .get(place)
+                sought
+                    .tile(self, place)
                     .and_then(|tile| tile.evidence.as_ref())
                     .is_some_and(|evidence| evidence.shown[rows.clone()].iter().any(|row| row & columns != 0))
             })
@@ -598,12 +642,13 @@ mod tests {
             (0..unknown).for_each(|_| opacity.vote(Image::Unknown(above)));
             opacity
         };
+        let is_image = |votes: &Opacity, image: Image| image.is_image(&votes.opaque(votes));
         let mirror = votes(80, 20, 300);
-        assert!(mirror.is_image(Image::IfOpaque(here)) && mirror.is_image(Image::Unknown(above)));
-        assert!(mirror.is_image(Image::Unexplained(here)), "somebody who has moved on");
-        assert!(!mirror.is_image(Image::IfOpaque(far)), "another surface");
-        assert!(!mirror.is_image(Image::No), "seen past it");
+        assert!(is_image(&mirror, Image::IfOpaque(here)) && is_image(&mirror, Image::Unknown(above)));
+        assert!(is_image(&mirror, Image::Unexplained(here)), "somebody who has moved on");
+        assert!(!is_image(&mirror, Image::IfOpaque(far)), "another surface");
+        assert!(!is_image(&mirror, Image::No), "seen past it");
         let pane = votes(50, 50, 0);
-        assert!(!pane.is_image(Image::IfOpaque(here)) && pane.is_image(Image::Yes));
+        assert!(!is_image(&pane, Image::IfOpaque(here)) && is_image(&pane, Image::Yes));
     }
 }
