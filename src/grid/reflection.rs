@@ -13,7 +13,7 @@ use super::{
     cell::Cell,
     idea::Idea,
     mirrors::Mirror,
-    tiles::{CellIndex, SIDE, TileIndex, floor},
+    tiles::{CellIndex, SIDE, TileIndex, floor, whole},
     visagge::{Tile, Visagge},
 };
 use std::collections::BTreeMap;
@@ -358,12 +358,8 @@ fn cross(
     // Half a cell: rows of cells that touch at their corners only are not slipped through.
     let step = resolution / 2.0;
     let end = sight.range - CLEAR_OF_CELL;
-    // How many steps it is to there, the last one perhaps beyond.
-    let steps = |distance: f64, to: f64| {
-        let steps = (to - distance) / step;
-        let whole = steps as u32;
-        whole + u32::from(f64::from(whole) < steps)
-    };
+    // As far as the first of the steps that is there, or beyond.
+    let leap = |distance: f64, to: f64| step * (whole((to - distance) * (2.0 / resolution) + 0.5).max(0) as f64);
     let course = Course::of(sight, resolution);
     let mut distance = CLEAR_OF_SENSOR;
     while distance < end {
@@ -384,12 +380,11 @@ fn cross(
             if enters > leaves {
                 continue;
             }
-            distance += step * f64::from(steps(distance, enters));
+            distance += leap(distance, enters);
             loop {
-                let most = steps(distance, end);
-                let (count, cell) = course.go_on(square, reflecting.near(square), distance, step, most);
-                distance += step * f64::from(count);
-                let Some([column, row]) = cell else { break };
+                let (steps, cell) = course.go_on(square, reflecting.near(square), distance, step);
+                distance += step * f64::from(steps);
+                let Some([column, row]) = cell.filter(|_| distance < end) else { break };
                 let mirror = reflecting.nearest(column, row).and_then(|place| mirrors.get(place));
                 if mirror.is_some_and(|mirror| visit(place.cell(column, row), mirror, distance)) {
                     return;
@@ -397,7 +392,7 @@ fn cross(
                 distance += THICKNESS;
             }
         }
-        distance += step * f64::from(steps(distance, leaves));
+        distance += leap(distance, leaves);
         if course.is_inside(distance) {
             distance += step;
         }
@@ -446,24 +441,25 @@ impl Course {
     }
 
     /// Goes on from there (m) in steps, to the first of these cells in the square of 8 x 8 with this number (a bit for each, row by row).
-    /// Gives how many steps that takes, and column and row; without them where the square is left before, or there were so many.
-    fn go_on(&self, square: usize, cells: u64, from: f64, step: f64, most: u32) -> (u32, Option<[usize; 2]>) {
+    /// Gives how many steps that takes, and column and row; without them where the square is left before.
+    fn go_on(&self, square: usize, cells: u64, from: f64, step: f64) -> (u32, Option<[usize; 2]>) {
         // Whole numbers: rounding down is a shift. 2^-40 of a cell a step is less than all else rounds.
         const ONE: f64 = (1u64 << 40) as f64;
-        let mut at = self.at(from).map(|at| (at * ONE) as i64);
-        let along = self.along.map(|along| (along * step * ONE) as i64);
         let low = [square & 7, square >> 3].map(|at| 8 * at as i64);
-        for count in 0..most {
+        let mut at = self.at(from).map(|at| whole(at * ONE));
+        let along = self.along.map(|along| whole(along * step * ONE));
+        let mut steps = 0;
+        loop {
             let [x, y] = [(at[0] >> 40) - low[0], (at[1] >> 40) - low[1]];
             if (x | y) & !7 != 0 {
-                return (count, None);
+                return (steps, None);
             }
             if cells >> (8 * y + x) & 1 == 1 {
-                return (count, Some([(low[0] + x) as usize, (low[1] + y) as usize]));
+                return (steps, Some([(low[0] + x) as usize, (low[1] + y) as usize]));
             }
             at = [at[0] + along[0], at[1] + along[1]];
+            steps += 1;
         }
-        (most, None)
     }
 
     /// Distance at which it leaves the square between 0 and this in x and y, which it is in (m).
@@ -489,12 +485,12 @@ impl Course {
     fn squares(&self, from: f64, to: f64) -> u64 {
         let ends = [from, to].map(|distance| self.at(distance).map(|at| at / 8.0));
         let [low, high] = if self.along[1] >= 0.0 { ends } else { [ends[1], ends[0]] };
-        let square = |at: f64| (at as i32).clamp(0, 7);
+        let square = |at: f64| whole(at - 0.5).clamp(0, 7);
         let (first, last) = (square(low[1]), square(high[1]));
         let (mut squares, mut x) = (0, low[0]);
         for row in first..=last {
             let leaves =
-                if row == last { high[0] } else { low[0] + (f64::from(row + 1) - low[1]) * self.slope };
+                if row == last { high[0] } else { low[0] + ((row + 1) as f64 - low[1]) * self.slope };
             // A little more than that, for what lies on a border.
             let (left, right) = (square(x.min(leaves) - 1e-6), square(x.max(leaves) + 1e-6));
             squares |= ((2 << right) - (1 << left)) << (8 * row);

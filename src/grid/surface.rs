@@ -4,7 +4,7 @@ use super::{
     angle::{Angle, units},
     cell::Cell,
     squares::Reach,
-    tiles::{CellIndex, SIDE, TileIndex},
+    tiles::{CellIndex, SIDE, TileIndex, whole},
     verdict::is_solid,
     visagge::Visagge,
 };
@@ -242,7 +242,7 @@ impl Window {
         let (sin, cos) = f64::from(patch.normal).sin_cos();
         // Columns and rows of the window, in whole numbers: rounding down is a shift. 2^-40 of a cell a step is less than all else rounds.
         const ONE: f64 = (1u64 << 40) as f64;
-        let whole = |cells: f64| (cells * ONE) as i64;
+        let whole = |cells: f64| whole(cells * ONE);
         let start = [(patch.at[0], self.origin.x), (patch.at[1], self.origin.y)]
             .map(|(at, origin)| whole(f64::from(at) / self.resolution - f64::from(origin)));
         let [across, along] = [[cos, sin], [-sin, cos]].map(|way| way.map(whole));

@@ -38,6 +38,13 @@ pub(super) fn floor(number: f64) -> i32 {
     whole.saturating_sub(i32::from(f64::from(whole) > number))
 }
 
+/// The nearest whole number, for numbers below 2^51: the addition rounds. Beyond it is any.
+pub(super) fn whole(number: f64) -> i64 {
+    // The whole number stands in the low bits, negative ones as their two's complement.
+    const ROUNDER: f64 = (3u64 << 51) as f64;
+    (number + ROUNDER).to_bits().wrapping_sub(ROUNDER.to_bits()) as i64
+}
+
 /// Place of a tile: its lower left cell is at 64 times these.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TileIndex {
