@@ -16,10 +16,10 @@ use super::{
     idea::Idea,
     mirrors::{Mirror, Mirrors},
     reflection::{self, Image, Lookups, Opacity, ROUNDS, Sources},
-    squares::{Reach, Squares, SquaresAround},
+    squares::{CellsAround, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
-    verdict::Verdict,
+    verdict::{Verdict, is_in_gap},
     view::Place,
     visagge::{Evidence, Tile, Visagge, place_of},
 };
@@ -121,6 +121,11 @@ impl Visagge {
         around.into_iter().any(|place| holds(&self.change(changes, place)))
     }
 
+    /// Bits of the tile at a place and of those around.
+    fn around(&self, place: TileIndex, bits: impl Fn(&Evidence) -> &[u64; SIDE as usize]) -> CellsAround {
+        CellsAround::of(place, |place| self.tiles.get(place)?.evidence.as_deref().map(&bits))
+    }
+
     /// Judges cells by their own observations and their neighbours'.
     fn judge_shapes(&mut self, changes: &mut Changes) {
         for number in 0..self.tiles.len() {
@@ -159,13 +164,13 @@ impl Visagge {
             }
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
+            let shown = self.around(place, |evidence| &evidence.shaped);
             let cells = evidence.cells.returns.iter().zip(&evidence.judgements);
             let bridged: Vec<Verdict> = cells
                 .map(|(returns, judgement)| {
-                    let [column, row] = returns.place.map(usize::from);
                     let is_bridged = !judgement.shape.is_shown()
                         && self.settings.has(Idea::Gaps)
-                        && self.is_in_gap(place.cell(column, row));
+                        && is_in_gap(returns.place, &shown);
                     if is_bridged { Verdict::Bridged } else { judgement.shape }
                 })
                 .collect();
@@ -254,12 +259,13 @@ impl Visagge {
             }
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
+            let shown = self.around(place, |evidence| &evidence.shown);
             let cells = evidence.cells.iter().zip(&evidence.judgements);
             let verdicts: Vec<Verdict> = cells
                 .map(|(cell, judgement)| {
                     let is_beside = judgement.unthinned.is_shown()
                         && self.settings.has(Idea::Thin)
-                        && self.is_outweighed(cell.index(place), &cell, judgement);
+                        && self.is_outweighed(cell.index(place), &cell, judgement, &shown);
                     if is_beside { Verdict::Beside } else { judgement.unthinned }
                 })
                 .collect();
@@ -356,9 +362,8 @@ impl Evidence {
     fn take_mirrors(&mut self, round: usize) -> bool {
         let Evidence { mirrors, slots, judgements, rounds, .. } = self;
         let opaque = &rounds[round].opaque;
-        let is_image = |place| {
-            slots.get(place).is_some_and(|number| judgements[number].images[round].is_image(opaque))
-        };
+        let is_image =
+            |place| slots.get(place).is_some_and(|number| judgements[number].images[round].is_image(opaque));
         mirrors.as_mut().is_some_and(|mirrors| mirrors.set_reflecting(round + 1, |place| !is_image(place)))
     }
 

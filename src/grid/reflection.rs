@@ -359,7 +359,8 @@ fn cross(
     let step = resolution / 2.0;
     let end = sight.range - CLEAR_OF_CELL;
     // As far as the first of the steps that is there, or beyond.
-    let leap = |distance: f64, to: f64| step * (whole((to - distance) * (2.0 / resolution) + 0.5).max(0) as f64);
+    let leap =
+        |distance: f64, to: f64| step * (whole((to - distance) * (2.0 / resolution) + 0.5).max(0) as f64);
     let course = Course::of(sight, resolution);
     let mut distance = CLEAR_OF_SENSOR;
     while distance < end {

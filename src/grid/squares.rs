@@ -27,6 +27,42 @@ impl Squares {
     }
 }
 
+/// A bit for each of some cells of a tile and of its neighbours' next to it, a word a row.
+pub struct CellsAround([u128; Self::ROWS as usize]);
+
+impl CellsAround {
+    /// How far around the tile they go.
+    const MARGIN: i32 = 8;
+    const ROWS: i32 = SIDE + 2 * Self::MARGIN;
+
+    /// Those of these tiles.
+    pub fn of<'a>(
+        place: TileIndex,
+        cells: impl Fn(TileIndex) -> Option<&'a [u64; SIDE as usize]>,
+    ) -> CellsAround {
+        let mut around = CellsAround([0; Self::ROWS as usize]);
+        for (dx, dy) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))) {
+            let Some(cells) = cells(TileIndex { x: place.x + dx, y: place.y + dy }) else { continue };
+            let rows = (Self::MARGIN + dy * SIDE..).zip(cells);
+            for (row, cells) in rows.filter(|(row, _)| (0..Self::ROWS).contains(row)) {
+                let cells = u128::from(*cells);
+                around.0[row as usize] |= match dx {
+                    -1 => cells >> (SIDE - Self::MARGIN),
+                    0 => cells << Self::MARGIN,
+                    _ => cells << (SIDE + Self::MARGIN),
+                };
+            }
+        }
+        around
+    }
+
+    /// Whether the cell so many columns and rows from this one of the tile is among them.
+    pub fn has(&self, [column, row]: [u8; 2], [x, y]: [i32; 2]) -> bool {
+        let at = |at: u8, step: i32| (i32::from(at) + step + Self::MARGIN) as usize;
+        self.0[at(row, y)] >> at(column, x) & 1 == 1
+    }
+}
+
 /// Some of the squares in a window around a tile ([`super::surface::Window`]).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SquaresAround {
@@ -94,6 +130,21 @@ impl Reach {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn cells_of_nine_tiles_are_found() {
+        let middle = TileIndex { x: 4, y: -1 };
+        let (mut corner, mut own) = ([0; SIDE as usize], [0; SIDE as usize]);
+        (corner[62], own[0]) = (1 << 57, 1 << 63);
+        let around = CellsAround::of(middle, |place| match (place.x - middle.x, place.y - middle.y) {
+            (-1, -1) => Some(&corner),
+            (0, 0) | (1, 1) => Some(&own),
+            _ => None,
+        });
+        assert!(around.has([63, 0], [0, 0]) && around.has([60, 3], [3, -3]));
+        assert!(around.has([0, 0], [-7, -2]) && !around.has([0, 0], [-6, -2]));
+        assert!(!around.has([63, 63], [1, 1]));
+    }
 
     #[test]
     fn squares_of_nine_tiles_are_found_where_they_are_within_reach() {

@@ -251,13 +251,16 @@ impl Window {
             let mut since = 0;
             let mut step = 1 - i64::from(side == 1);
             let at = |step: i64, depth: i64| {
-                [0, 1].map(|axis| (start[axis] + side * step * along[axis] + depth * across[axis] >> 40) as i32)
+                [0, 1]
+                    .map(|axis| (start[axis] + side * step * along[axis] + depth * across[axis] >> 40) as i32)
             };
             while step <= i64::from(MARGIN) && since <= BRIDGE {
                 let mut found = false;
                 for depth in -1..=1 {
                     let neighbour = self.at(at(step, depth));
-                    if let Some(neighbour) = neighbour.filter(|it| it.seen_from.distance(seen_from) <= same_view) {
+                    if let Some(neighbour) =
+                        neighbour.filter(|it| it.seen_from.distance(seen_from) <= same_view)
+                    {
                         moments.add(
                             [neighbour.at[0] - origin[0], neighbour.at[1] - origin[1]],
                             neighbour.weight,
@@ -297,7 +300,10 @@ impl Window {
             if cells != 0 {
                 let first = self.slots[row * WINDOW as usize + left + cells.trailing_zeros() as usize];
                 let cells = &self.cells[usize::from(first)..][..cells.count_ones() as usize];
-                cells.iter().filter(|cell| cell.seen_from.distance(seen_from) <= same_view).for_each(&mut visit);
+                cells
+                    .iter()
+                    .filter(|cell| cell.seen_from.distance(seen_from) <= same_view)
+                    .for_each(&mut visit);
             }
         }
     }

@@ -16,11 +16,12 @@ use super::{
     idea::Idea,
     judge::{Judgement, Shape},
     mirrors::Mirror,
-    squares::Reach,
+    squares::{CellsAround, Reach},
     surface::{Line, OF_PILLAR, OF_PLANE, Window},
-    tiles::{CellIndex, SIDE},
-    visagge::{Evidence, Visagge, VisaggeSettings},
+    tiles::CellIndex,
+    visagge::{Visagge, VisaggeSettings},
 };
+use std::f64::consts::SQRT_2;
 
 /// Why a cell with evidence is shown, or not. The number is the value of layer `verdict` in map.npz.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -99,35 +100,46 @@ const GRAZING: f64 = 1.31;
 /// cells, both get the same, give or take a few.
 const OUTWEIGHS: f32 = 1.33;
 
-impl Visagge {
-    /// Whether two neighbouring cells that are shown by themselves lie near on both sides, along a row, a column or a diagonal.
-    pub(super) fn is_in_gap(&self, index: CellIndex) -> bool {
-        [(1, 0), (0, 1), (1, 1), (1, -1)].into_iter().any(|(x, y)| {
-            [1, -1].into_iter().all(|side| {
-                let shown = |step: i32| {
-                    let index = CellIndex { x: index.x + x * side * step, y: index.y + y * side * step };
-                    self.has(index, |evidence| &evidence.shaped)
-                };
-                (1..GAP).any(|step| shown(step) && shown(step + 1))
-            })
+/// Whether two neighbouring cells that are `shown` by themselves lie near on both sides, along a row, a column or a diagonal.
+pub(super) fn is_in_gap(cell: [u8; 2], shown: &CellsAround) -> bool {
+    [(1, 0), (0, 1), (1, 1), (1, -1)].into_iter().any(|(x, y)| {
+        [1, -1].into_iter().all(|side| {
+            let shown = |step: i32| shown.has(cell, [x * side * step, y * side * step]);
+            (1..GAP).any(|step| shown(step) && shown(step + 1))
         })
-    }
+    })
+}
 
-    /// Whether the bit of a cell is set.
-    fn has(&self, index: CellIndex, bits: impl Fn(&Evidence) -> &[u64; SIDE as usize]) -> bool {
-        let (place, column, row) = index.split();
-        let evidence = self.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
-        evidence.is_some_and(|evidence| bits(evidence)[row] >> column & 1 == 1)
-    }
+/// The step from a cell to the one behind it: across the row, column or diagonal in which most of its neighbours are `shown`. It is
+/// not the direction of view, which runs along a wall at grazing incidence; only of rows alike, it says which.
+fn across(cell: &Cell, shown: &CellsAround) -> (i32, i32) {
+    let (sin, cos) = cell.visible.range.middle().rad().sin_cos();
+    let rows = [(1, 0, 1.0), (1, 1, SQRT_2), (0, 1, 1.0), (-1, 1, SQRT_2)].map(|(x, y, length)| {
+        let steps = [-3, -2, -1, 1, 2, 3].into_iter();
+        let count = steps.filter(|step| shown.has(cell.returns.place, [x * step, y * step])).count();
+        let along = f64::from(x) * cos + f64::from(y) * sin;
+        let across_view = 1.0 - (along / length).abs();
+        (count as f64 + across_view.min(0.999), (x, y))
+    });
+    let (_, (x, y)) = rows.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)).expect("there are four");
+    (-y, x)
+}
 
+impl Visagge {
     /// Whether a cell that is shown, right before or behind this one, got clearly more returns.
-    pub(super) fn is_outweighed(&self, index: CellIndex, cell: &Cell, judgement: &Judgement) -> bool {
-        let (x, y) = self.across(index, cell);
+    pub(super) fn is_outweighed(
+        &self,
+        index: CellIndex,
+        cell: &Cell,
+        judgement: &Judgement,
+        shown: &CellsAround,
+    ) -> bool {
+        let (x, y) = across(cell, shown);
         [-2, -1, 1, 2].into_iter().any(|steps| {
             let (place, column, row) = CellIndex { x: index.x + steps * x, y: index.y + steps * y }.split();
             let evidence = self.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
             evidence.and_then(|evidence| evidence.at(column, row)).is_some_and(|(other, judged)| {
-                let (more, less) = (f32::from(other.returns.hits), f32::from(cell.returns.hits));
+                let (more, less) = (f32::from(other.hits), f32::from(cell.returns.hits));
                 // Two standard deviations of counts. A pane has few returns, and nothing stands right behind it that would be lost.
                 let is_certain = (more - less).powi(2) > 4.0 * (more + less);
                 judged.unthinned.is_shown()
@@ -135,24 +147,6 @@ impl Visagge {
                     && (is_certain || judgement.unthinned != Verdict::Solid)
             })
         })
-    }
-
-    /// The step from a cell to the one behind it: across the row, column or diagonal in which most of its neighbours are shown. It is
-    /// not the direction of view, which runs along a wall at grazing incidence; only of rows alike, it says which.
-    fn across(&self, index: CellIndex, cell: &Cell) -> (i32, i32) {
-        let (sin, cos) = cell.visible.range.middle().rad().sin_cos();
-        let rows = [(1, 0), (1, 1), (0, 1), (-1, 1)].map(|(x, y)| {
-            let in_row = |step: i32| CellIndex { x: index.x + step * x, y: index.y + step * y };
-            let shown = [-3, -2, -1, 1, 2, 3]
-                .into_iter()
-                .filter(|&step| self.has(in_row(step), |evidence| &evidence.shown))
-                .count();
-            let along = f64::from(x) * cos + f64::from(y) * sin;
-            let across_view = 1.0 - (along / f64::from(x).hypot(f64::from(y))).abs();
-            (shown as f64 + across_view.min(0.999), (x, y))
-        });
-        let (_, (x, y)) = rows.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)).expect("there are four");
-        (-y, x)
     }
 
     /// What the shape of a cell's neighbourhood says of it, in the window around its tile.

@@ -190,10 +190,10 @@ impl Evidence {
         }
     }
 
-    /// The cell in this column and row, with what was last judged of it.
-    pub(super) fn at(&self, column: usize, row: usize) -> Option<(Cell, &Judgement)> {
+    /// The returns of the cell in this column and row, and what was last judged of it.
+    pub(super) fn at(&self, column: usize, row: usize) -> Option<(&Returns, &Judgement)> {
         let number = self.slots.get(place_of([column as u8, row as u8]))?;
-        Some((self.cells.get(number), &self.judgements[number]))
+        Some((&self.cells.returns[number], &self.judgements[number]))
     }
 
     /// Each cell with what was last judged of it.
