@@ -19,6 +19,7 @@ type Rows = [u64; SIDE as usize];
 pub struct Mirrors {
     /// By their places.
     mirrors: Vec<Mirror>,
+    rows: Rows,
     /// How many there are in the rows before each.
     before: [u16; SIDE as usize],
     /// Those that reflect, round by round; in the first, all of them.
@@ -28,29 +29,30 @@ pub struct Mirrors {
 /// Those of a tile that reflect in a round.
 #[derive(Clone, Debug)]
 pub struct Reflecting {
-    rows: Rows,
-    /// The same cells and those beside them, a word for each square of 8 x 8 cells, row by row.
-    near: [u64; SIDE as usize],
-    /// Which of these words have a bit set.
+    /// A bit for each square of 8 x 8 cells that holds one of these or a cell beside one, row by row.
     squares: u64,
+    /// Of each of these squares, a bit for each cell that is one, and for each that is one or beside one, row by row.
+    cells: Vec<[u64; 2]>,
 }
 
 impl From<Rows> for Reflecting {
     fn from(rows: Rows) -> Reflecting {
-        let mut near = [0; SIDE as usize];
-        let mut squares = 0;
+        let mut all = [[0; 2]; SIDE as usize];
         for row in 0..SIDE as usize {
             let [below, above] =
                 [row.wrapping_sub(1), row + 1].map(|row| rows.get(row).copied().unwrap_or(0));
-            let cells = rows[row] | rows[row] << 1 | rows[row] >> 1 | below | above;
-            if cells != 0 {
+            let near = rows[row] | rows[row] << 1 | rows[row] >> 1 | below | above;
+            for (kind, cells) in [rows[row], near].into_iter().enumerate() {
                 for (square, cells) in (row & 0o70..).zip(cells.to_le_bytes()) {
-                    near[square] |= u64::from(cells) << (8 * (row & 7));
-                    squares |= u64::from(cells != 0) << square;
+                    all[square][kind] |= u64::from(cells) << (8 * (row & 7));
                 }
             }
         }
-        Reflecting { rows, near, squares }
+        let squares =
+            (0..).zip(&all).fold(0, |squares, (square, [_, near])| squares | u64::from(*near != 0) << square);
+        let mut cells = Vec::with_capacity(squares.count_ones() as usize);
+        cells.extend(all.into_iter().filter(|[_, near]| *near != 0));
+        Reflecting { squares, cells }
     }
 }
 
@@ -60,9 +62,15 @@ impl Reflecting {
         self.squares
     }
 
+    /// Of a square, a bit for each cell that is one of these, and for each that is one or beside one, row by row.
+    fn square(&self, square: usize) -> [u64; 2] {
+        let before = (self.squares & ((1 << square) - 1)).count_ones();
+        if self.squares >> square & 1 == 1 { self.cells[before as usize] } else { [0; 2] }
+    }
+
     /// A bit for each cell of a square that is one of these or beside one, row by row.
     pub fn near(&self, square: usize) -> u64 {
-        self.near[square]
+        self.square(square)[1]
     }
 
     /// Place of the one in this column and row, or beside, where one is near.
@@ -71,8 +79,14 @@ impl Reflecting {
             .into_iter()
             .map(|(x, y)| (column as i32 + x, row as i32 + y))
             .filter(|(x, y)| (0..SIDE).contains(x) && (0..SIDE).contains(y))
-            .find(|(x, y)| self.rows[*y as usize] >> x & 1 == 1)
             .map(|(x, y)| (y << 6 | x) as Place)
+            .find(|place| self.has(*place))
+    }
+
+    /// Whether the cell at this place is one of these.
+    fn has(&self, place: Place) -> bool {
+        let (row, column) = (usize::from(place >> 6), usize::from(place & 63));
+        self.square(row & 0o70 | column >> 3)[0] >> ((row & 7) << 3 | column & 7) & 1 == 1
     }
 }
 
@@ -91,22 +105,21 @@ impl Mirrors {
             count - row.count_ones() as u16
         });
         let reflecting = std::array::from_fn(|round| {
-            let not = |row: usize| {
-                before.map_or(0, |before| before.rows()[row] & !before.reflecting[round].rows[row])
-            };
-            Reflecting::from(std::array::from_fn(|row| rows[row] & !not(row)))
+            let mut reflecting = rows;
+            for before in before.iter() {
+                for (place, _) in before.iter().filter(|(place, _)| !before.reflecting[round].has(*place)) {
+                    reflecting[usize::from(place >> 6)] &= !(1 << (place & 63));
+                }
+            }
+            reflecting.into()
         });
         let mirrors = mirrors.into_iter().map(|(_, mirror)| mirror).collect();
-        Some(Mirrors { mirrors, before: counts, reflecting })
-    }
-
-    fn rows(&self) -> &Rows {
-        &self.reflecting[0].rows
+        Some(Mirrors { mirrors, rows, before: counts, reflecting })
     }
 
     /// All of them, by their places in the tile.
     pub fn iter(&self) -> impl Iterator<Item = (Place, &Mirror)> {
-        let places = self.rows().iter().enumerate().flat_map(|(row, &cells)| {
+        let places = self.rows.iter().enumerate().flat_map(|(row, &cells)| {
             (0..SIDE as Place)
                 .filter(move |column| cells >> column & 1 == 1)
                 .map(move |column| (row as Place) << 6 | column)
@@ -117,7 +130,7 @@ impl Mirrors {
     /// The cell at this place, if it is one of them.
     pub fn get(&self, place: Place) -> Option<&Mirror> {
         let (row, column) = (usize::from(place >> 6), place & 63);
-        let cells = self.rows()[row];
+        let cells = self.rows[row];
         let number = self.before[row] as u32 + (cells & ((1 << column) - 1)).count_ones();
         (cells >> column & 1 == 1).then(|| &self.mirrors[number as usize])
     }
@@ -133,7 +146,9 @@ impl Mirrors {
         for (place, _) in self.iter().filter(|(place, _)| holds(*place)) {
             rows[usize::from(place >> 6)] |= 1 << (place & 63);
         }
-        let are_others = rows != self.reflecting[round].rows;
+        let are_others = self.iter().any(|(place, _)| {
+            self.reflecting[round].has(place) != (rows[usize::from(place >> 6)] >> (place & 63) & 1 == 1)
+        });
         if are_others {
             self.reflecting[round] = rows.into();
         }
@@ -142,11 +157,12 @@ impl Mirrors {
 
     /// Whether these are the same.
     pub fn are(&self, others: &Mirrors) -> bool {
-        self.rows() == others.rows() && self.mirrors == others.mirrors
+        self.rows == others.rows && self.mirrors == others.mirrors
     }
 
     /// Memory that they hold (bytes).
     pub fn bytes(&self) -> usize {
-        size_of_val(self) + self.mirrors.capacity() * size_of::<Mirror>()
+        let squares: usize = self.reflecting.iter().map(|reflecting| reflecting.cells.capacity()).sum();
+        size_of_val(self) + self.mirrors.capacity() * size_of::<Mirror>() + squares * size_of::<[u64; 2]>()
     }
 }
