@@ -251,8 +251,9 @@ impl Window {
             let mut since = 0;
             let mut step = 1 - i64::from(side == 1);
             let at = |step: i64, depth: i64| {
-                [0, 1]
-                    .map(|axis| (start[axis] + side * step * along[axis] + depth * across[axis] >> 40) as i32)
+                [0, 1].map(|axis| {
+                    ((start[axis] + side * step * along[axis] + depth * across[axis]) >> 40) as i32
+                })
             };
             while step <= i64::from(MARGIN) && since <= BRIDGE {
                 let mut found = false;
