@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 pub enum Idea {
     /// What came where a beam had passed is solid only if it was seen from a wide range of angles, or for a while.
     Newcomers,
+    /// What has come as a whole and is no larger than a person is solid only if it has stayed for longer than people do.
+    Visitors,
     /// What was solid and was missed to the end has been taken away.
     TakenAway,
     /// Of what was missed, only flat surfaces that are seen about their normal are shown; without, all of it.
@@ -30,14 +32,19 @@ pub enum Idea {
     Opacity,
     /// An image must be explained from its second range of view angles too.
     SecondRange,
+    /// What is seen from some directions only is no original of an image that it would be seen in from others.
+    Originals,
+    /// Whatever is seen behind a wall that has always stood there is an image.
+    Walls,
     /// Surfaces are drawn one cell thick.
     Thin,
 }
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 13] = [
+    pub const ALL: [Idea; 16] = [
         Idea::Newcomers,
+        Idea::Visitors,
         Idea::TakenAway,
         Idea::Surfaces,
         Idea::PlanesFirst,
@@ -49,6 +56,8 @@ impl Idea {
         Idea::Fresnel,
         Idea::Opacity,
         Idea::SecondRange,
+        Idea::Originals,
+        Idea::Walls,
         Idea::Thin,
     ];
 }

@@ -6,8 +6,8 @@
 //!
 //! - Shape: the cell and its neighbours, as far as its [`Reach`] goes.
 //! - Gaps: what is shown by its shape in the tile and those around.
-//! - Images: the cell's own view angles, the mirrors in the tiles that its lines of sight cross, and what is shown and free in those where
-//!   its original would stand ([`Sources`]); then, which surfaces are opaque. All of this in [`ROUNDS`].
+//! - Images: the cell's own view angles, the mirrors and walls in the tiles that its lines of sight cross, and what is shown and free in
+//!   those where its original would stand ([`Sources`]); then, which surfaces are opaque. All of this in [`ROUNDS`].
 //! - Thickness: all of this in the tile and those around.
 //!
 //! That a cell has changed is told by its [fingerprint](super::cell::Cell::fingerprint).
@@ -16,10 +16,10 @@ use super::{
     idea::Idea,
     mirrors::{Mirror, Mirrors},
     reflection::{self, Image, Lookups, Opacity, ROUNDS, Sources},
-    squares::{CellsAround, Reach, Squares, SquaresAround},
+    squares::{CellsAround, CellsBySquare, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
-    verdict::{Verdict, is_in_gap},
+    verdict::{Verdict, is_in_gap, is_wall},
     view::Place,
     visagge::{Evidence, Tile, Visagge, place_of},
 };
@@ -74,6 +74,8 @@ struct Change {
     mirrors: [bool; ROUNDS],
     /// Whether other cells are shown, gaps bridged.
     shown: bool,
+    /// Whether other cells are walls.
+    walls: bool,
     /// Whether what images depend on was looked up anew.
     sources: bool,
     /// Whether a cell's verdict is another, but for how thick surfaces are drawn.
@@ -189,10 +191,13 @@ impl Visagge {
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
             let Sources { crossed, sought } = &evidence.sources;
             let all = changes.0[number].sources
-                || crossed.iter().any(|place| self.change(changes, place).mirrors[round])
+                || crossed.iter().any(|place| {
+                    let change = self.change(changes, place);
+                    change.mirrors[round] || change.walls
+                })
                 || sought.iter().any(|place| {
                     let change = self.change(changes, place);
-                    change.shown || change.free
+                    change.shown || change.free || change.walls || change.mirrors[0]
                 });
             if !all && !evidence.judgements.iter().any(|judgement| judgement.image_is_due) {
                 continue;
@@ -321,7 +326,7 @@ impl Evidence {
             (before, mirrors) => before.is_some() != mirrors.is_some(),
         };
         change.mirrors = [are_others; ROUNDS];
-        let shaped = self.rows(|judgement| judgement.shape.is_shown());
+        let shaped = self.rows(|number| self.judgements[number].shape.is_shown());
         change.shaped = shaped != self.shaped;
         change.judged = true;
         self.shaped = shaped;
@@ -332,10 +337,14 @@ impl Evidence {
             judgement.image_is_due |= bridged.is_shown() != judgement.bridged.is_shown();
             judgement.bridged = bridged;
         }
-        let shown = self.rows(|judgement| judgement.bridged.is_shown());
-        change.shown = shown != self.shown;
+        let shown = self.rows(|number| self.judgements[number].bridged.is_shown());
+        let walls = self.rows(|number| {
+            self.judgements[number].bridged == Verdict::Solid && is_wall(&self.cells.get(number))
+        });
+        let walls = CellsBySquare::from(walls);
+        (change.shown, change.walls) = (shown != self.shown, walls != self.walls);
         change.judged = true;
-        self.shown = shown;
+        (self.shown, self.walls) = (shown, walls);
     }
 
     fn take_images(&mut self, round: usize, images: Vec<(usize, Image)>) {
@@ -380,12 +389,12 @@ impl Evidence {
         are_others
     }
 
-    /// A bit for each cell of which this holds, a word a row.
-    fn rows(&self, holds: impl Fn(&Judgement) -> bool) -> [u64; 64] {
+    /// A bit for each cell of whose number this holds, a word a row.
+    fn rows(&self, holds: impl Fn(usize) -> bool) -> [u64; 64] {
         let mut rows = [0; 64];
-        for (returns, judgement) in self.cells.returns.iter().zip(&self.judgements) {
+        for (number, returns) in self.cells.returns.iter().enumerate() {
             let [column, row] = returns.place;
-            rows[usize::from(row)] |= u64::from(holds(judgement)) << column;
+            rows[usize::from(row)] |= u64::from(holds(number)) << column;
         }
         rows
     }

@@ -1,6 +1,8 @@
 //! The cells of a tile that something may be seen through or in, and all that images are judged by of them.
 
-use super::{angle::AngleRange, reflection::ROUNDS, surface::Line, tiles::SIDE, view::Place};
+use super::{
+    angle::AngleRange, reflection::ROUNDS, squares::CellsBySquare, surface::Line, tiles::SIDE, view::Place,
+};
 
 /// What images are judged by of such a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,65 +30,25 @@ pub struct Mirrors {
 
 /// Those of a tile that reflect in a round.
 #[derive(Clone, Debug)]
-pub struct Reflecting {
-    /// A bit for each square of 8 x 8 cells that holds one of these or a cell beside one, row by row.
-    squares: u64,
-    /// Of each of these squares, a bit for each cell that is one, and for each that is one or beside one, row by row.
-    cells: Vec<[u64; 2]>,
+struct Reflecting {
+    cells: CellsBySquare,
+    /// These and the cells beside them.
+    near: CellsBySquare,
 }
 
 impl From<Rows> for Reflecting {
     fn from(rows: Rows) -> Reflecting {
-        let mut all = [[0; 2]; SIDE as usize];
-        for row in 0..SIDE as usize {
-            let [below, above] =
-                [row.wrapping_sub(1), row + 1].map(|row| rows.get(row).copied().unwrap_or(0));
-            let near = rows[row] | rows[row] << 1 | rows[row] >> 1 | below | above;
-            for (kind, cells) in [rows[row], near].into_iter().enumerate() {
-                for (square, cells) in (row & 0o70..).zip(cells.to_le_bytes()) {
-                    all[square][kind] |= u64::from(cells) << (8 * (row & 7));
-                }
-            }
-        }
-        let squares =
-            (0..).zip(&all).fold(0, |squares, (square, [_, near])| squares | u64::from(*near != 0) << square);
-        let mut cells = Vec::with_capacity(squares.count_ones() as usize);
-        cells.extend(all.into_iter().filter(|[_, near]| *near != 0));
-        Reflecting { squares, cells }
+        let near = std::array::from_fn(|row| {
+            let beside = [row.wrapping_sub(1), row + 1].map(|row| rows.get(row).copied().unwrap_or(0));
+            rows[row] | rows[row] << 1 | rows[row] >> 1 | beside[0] | beside[1]
+        });
+        Reflecting { cells: rows.into(), near: CellsBySquare::from(near) }
     }
 }
 
 impl Reflecting {
-    /// A bit for each square of 8 x 8 cells that holds one of these or a cell beside one, row by row.
-    pub fn squares(&self) -> u64 {
-        self.squares
-    }
-
-    /// Of a square, a bit for each cell that is one of these, and for each that is one or beside one, row by row.
-    fn square(&self, square: usize) -> [u64; 2] {
-        let before = (self.squares & ((1 << square) - 1)).count_ones();
-        if self.squares >> square & 1 == 1 { self.cells[before as usize] } else { [0; 2] }
-    }
-
-    /// A bit for each cell of a square that is one of these or beside one, row by row.
-    pub fn near(&self, square: usize) -> u64 {
-        self.square(square)[1]
-    }
-
-    /// Place of the one in this column and row, or beside, where one is near.
-    pub fn nearest(&self, column: usize, row: usize) -> Option<Place> {
-        [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
-            .into_iter()
-            .map(|(x, y)| (column as i32 + x, row as i32 + y))
-            .filter(|(x, y)| (0..SIDE).contains(x) && (0..SIDE).contains(y))
-            .map(|(x, y)| (y << 6 | x) as Place)
-            .find(|place| self.has(*place))
-    }
-
-    /// Whether the cell at this place is one of these.
     fn has(&self, place: Place) -> bool {
-        let (row, column) = (usize::from(place >> 6), usize::from(place & 63));
-        self.square(row & 0o70 | column >> 3)[0] >> ((row & 7) << 3 | column & 7) & 1 == 1
+        self.cells.has(usize::from(place & 63), usize::from(place >> 6))
     }
 }
 
@@ -135,9 +97,21 @@ impl Mirrors {
         (cells >> column & 1 == 1).then(|| &self.mirrors[number as usize])
     }
 
-    /// Those that reflect in this round.
-    pub fn reflecting(&self, round: usize) -> &Reflecting {
-        &self.reflecting[round]
+    /// The one in this column and row, or beside, that reflects in this round.
+    pub fn nearest(&self, column: usize, row: usize, round: usize) -> Option<&Mirror> {
+        let reflecting = &self.reflecting[round];
+        [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
+            .into_iter()
+            .map(|(x, y)| (column as i32 + x, row as i32 + y))
+            .filter(|(x, y)| (0..SIDE).contains(x) && (0..SIDE).contains(y))
+            .map(|(x, y)| (y << 6 | x) as Place)
+            .find(|place| reflecting.has(*place))
+            .and_then(|place| self.get(place))
+    }
+
+    /// Those that reflect in this round, and the cells beside them.
+    pub fn near(&self, round: usize) -> &CellsBySquare {
+        &self.reflecting[round].near
     }
 
     /// From now on, those reflect in a round for whose places this holds. Gives whether others did.
@@ -162,7 +136,7 @@ impl Mirrors {
 
     /// Memory that they hold (bytes).
     pub fn bytes(&self) -> usize {
-        let squares: usize = self.reflecting.iter().map(|reflecting| reflecting.cells.capacity()).sum();
-        size_of_val(self) + self.mirrors.capacity() * size_of::<Mirror>() + squares * size_of::<[u64; 2]>()
+        let squares = self.reflecting.iter().map(|Reflecting { cells, near }| cells.bytes() + near.bytes());
+        size_of_val(self) + self.mirrors.capacity() * size_of::<Mirror>() + squares.sum::<usize>()
     }
 }

@@ -13,8 +13,9 @@ use super::{
     cell::Cell,
     idea::Idea,
     mirrors::Mirror,
+    squares::CellsBySquare,
     tiles::{CellIndex, SIDE, TileIndex, floor, whole},
-    visagge::{Tile, Visagge},
+    visagge::{Evidence, Tile, Visagge, place_of},
 };
 use std::collections::BTreeMap;
 use std::f64::consts::SQRT_2;
@@ -44,6 +45,11 @@ const DIRECTION: f64 = 0.02;
 const INSIDE: f64 = 0.05;
 /// Widest search around the mirrored point (m).
 const WIDEST: f64 = 0.3;
+/// An original that is seen from some directions only is seen up to this far off those from which it was (rad): 6 degrees, by which
+/// an image is off at 3 m from where it is sought.
+const OFF_VIEW: f64 = 0.1;
+/// A wall hides what is behind it if it does so this far to both sides of the line of sight as well (m): past its ends errors of poses decide.
+const ASIDE: f64 = 0.1;
 
 /// How often images are sought. In the first rounds among surfaces only, in the last one among all cells; each time those that were found to
 /// be images in the round before reflect nothing. What the first takes away too much, by surfaces that are images, the second gives
@@ -125,9 +131,9 @@ impl Block {
 /// The tiles that images were judged by.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sources {
-    /// Those that lines of sight cross, by their mirrors.
+    /// Those that lines of sight cross, by their mirrors and walls.
     pub crossed: Places,
-    /// Those in which originals were sought, by what is shown and what is free there.
+    /// Those in which originals were sought, by what is shown, from where it is seen, and what is free there.
     pub sought: Places,
 }
 
@@ -273,7 +279,12 @@ pub(super) fn image(
         for part in OBSERVERS {
             let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
             let sight = Sight { from: [point[0] + x, point[1] + y], to: point, range: x.hypot(y), round };
-            match explained(grid, &sight, lookups) {
+            let explained = match explained(grid, &sight, lookups) {
+                Image::Yes => Image::Yes,
+                _ if is_behind_wall(grid, &sight, &mut lookups.crossed) => Image::Yes,
+                other => other,
+            };
+            match explained {
                 Image::Yes => (),
                 Image::IfOpaque(block) => image = Image::IfOpaque(block),
                 other => {
@@ -301,11 +312,15 @@ struct Sight {
 }
 
 /// Whether a surface on the line of sight shows at its end what is elsewhere.
-fn explained(grid: &Visagge, sight: &Sight, lookups: &mut Lookups) -> Image {
+fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Image {
     let mut image = Image::No;
     let Sight { from: sensor, to: point, range, .. } = *sight;
     let Lookups { crossed, sought } = lookups;
-    cross(grid, sight, crossed, |index, Mirror { line, visible }, distance| {
+    let near = |evidence: &'a Evidence| Some(evidence.mirrors.as_ref()?.near(sight.round));
+    follow(grid, sight, crossed, near, |evidence, place, [column, row], distance| {
+        let mirrors = evidence.mirrors.as_ref();
+        let mirror = mirrors.and_then(|mirrors| mirrors.nearest(column, row, sight.round));
+        let Some(Mirror { line, visible }) = mirror else { return false };
         let bearing = (sensor[1] - point[1]).atan2(sensor[0] - point[0]);
         let seen_from = Angle::from_rad(bearing);
         // What was always seen from this direction was not seen through.
@@ -313,7 +328,7 @@ fn explained(grid: &Visagge, sight: &Sight, lookups: &mut Lookups) -> Image {
         if inside > units(INSIDE) as i32 {
             return false;
         }
-        let block = Block::of(index);
+        let block = Block::of(place.cell(column, row));
         let mirrored = line.mirror(point);
         let distance_to = |[x, y]: [f64; 2]| (mirrored[0] - x).hypot(mirrored[1] - y);
         let tolerance = (PLACE + 2.0 * DIRECTION * (range - distance)).min(WIDEST);
@@ -322,7 +337,10 @@ fn explained(grid: &Visagge, sight: &Sight, lookups: &mut Lookups) -> Image {
             return false;
         }
         let to_sensor = distance_to(sensor);
-        let explains = to_sensor <= BODY + tolerance || grid.is_mapped_near(mirrored, tolerance, sought);
+        let [x, y] = line.mirror(sensor);
+        let seen_from = Angle::from_rad((y - mirrored[1]).atan2(x - mirrored[0]));
+        let explains =
+            to_sensor <= BODY + tolerance || grid.has_original(mirrored, seen_from, tolerance, sought);
         let by_glass =
             || range <= SEES * glass_reflects(line.off_normal(bearing)) || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
@@ -347,13 +365,25 @@ fn glass_reflects(incidence: f64) -> f64 {
     2.0 * across / (1.0 + across)
 }
 
-/// Visits the cells on the line of sight that something may be seen through or in, until `visit` returns true.
-fn cross(
-    grid: &Visagge,
+/// Whether a wall hides what is at the end of the line of sight.
+fn is_behind_wall(grid: &Visagge, sight: &Sight, crossed: &mut Lookup) -> bool {
+    let [x, y] = [0, 1].map(|axis| (sight.to[axis] - sight.from[axis]) / sight.range);
+    grid.settings.has(Idea::Walls)
+        && [0.0, ASIDE, -ASIDE].into_iter().all(|aside| {
+            let beside = |[at_x, at_y]: [f64; 2]| [at_x - y * aside, at_y + x * aside];
+            let sight = Sight { from: beside(sight.from), to: beside(sight.to), ..*sight };
+            follow(grid, &sight, crossed, |evidence| Some(&evidence.walls), |_, _, _, _| true)
+        })
+}
+
+/// Visits those of `cells` that are on the line of sight, until `visit` returns true. Gives whether it did.
+fn follow<'a>(
+    grid: &'a Visagge,
     sight: &Sight,
     crossed: &mut Lookup,
-    mut visit: impl FnMut(CellIndex, &Mirror, f64) -> bool,
-) {
+    cells: impl Fn(&'a Evidence) -> Option<&'a CellsBySquare>,
+    mut visit: impl FnMut(&'a Evidence, TileIndex, [usize; 2], f64) -> bool,
+) -> bool {
     let resolution = grid.resolution;
     // Half a cell: rows of cells that touch at their corners only are not slipped through.
     let step = resolution / 2.0;
@@ -367,13 +397,12 @@ fn cross(
         let place = course.tile(distance);
         let course = course.inside(place);
         let leaves = course.leaves(f64::from(SIDE));
-        let evidence = crossed.tile(grid, place).and_then(|tile| tile.evidence.as_ref());
-        let Some(mirrors) = evidence.and_then(|evidence| evidence.mirrors.as_ref()) else {
+        let evidence = crossed.tile(grid, place).and_then(|tile| tile.evidence.as_deref());
+        let Some((evidence, cells)) = evidence.and_then(|evidence| Some((evidence, cells(evidence)?))) else {
             distance = leaves.max(distance) + step / 8.0;
             continue;
         };
-        let reflecting = mirrors.reflecting(sight.round);
-        let mut squares = reflecting.squares() & course.squares(distance, leaves.min(end));
+        let mut squares = cells.squares() & course.squares(distance, leaves.min(end));
         while squares != 0 {
             let square = course.first(squares);
             squares &= !(1 << square);
@@ -383,12 +412,11 @@ fn cross(
             }
             distance += leap(distance, enters);
             loop {
-                let (steps, cell) = course.go_on(square, reflecting.near(square), distance, step);
+                let (steps, cell) = course.go_on(square, cells.cells(square), distance, step);
                 distance += step * f64::from(steps);
-                let Some([column, row]) = cell.filter(|_| distance < end) else { break };
-                let mirror = reflecting.nearest(column, row).and_then(|place| mirrors.get(place));
-                if mirror.is_some_and(|mirror| visit(place.cell(column, row), mirror, distance)) {
-                    return;
+                let Some(cell) = cell.filter(|_| distance < end) else { break };
+                if visit(evidence, place, cell, distance) {
+                    return true;
                 }
                 distance += THICKNESS;
             }
@@ -398,6 +426,7 @@ fn cross(
             distance += step;
         }
     }
+    false
 }
 
 /// The course of a line of sight.
@@ -509,6 +538,28 @@ impl Course {
     }
 }
 
+/// The columns of a row's cells, of which each has a bit.
+fn cells_of(mut row: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let column = (row != 0).then(|| row.trailing_zeros() as usize)?;
+        row &= row - 1;
+        Some(column)
+    })
+}
+
+impl Evidence {
+    /// Whether a cell that is shown is seen from a direction. What something is seen through is not seen from everywhere.
+    fn is_seen(&self, column: usize, row: usize, seen_from: Angle) -> bool {
+        let mirror =
+            self.mirrors.as_ref().and_then(|mirrors| mirrors.get(place_of([column as u8, row as u8])));
+        let is_in_view = |mirror: &Mirror| {
+            let off = -mirror.visible.depth(AngleRange::at(seen_from), 0);
+            off < units(OFF_VIEW) as i32
+        };
+        mirror.is_none_or(is_in_view) || self.walls.has(column, row)
+    }
+}
+
 impl Visagge {
     /// Whether a beam has crossed the point; `sought` takes in where that was looked up.
     fn is_crossed(&self, point: [f64; 2], sought: &mut Lookup) -> bool {
@@ -516,9 +567,9 @@ impl Visagge {
         sought.tile(self, place).is_some_and(|tile| tile.free[row] >> column & 1 == 1)
     }
 
-    /// Whether a cell that is shown lies within this distance of the point (m), in x and in y; `sought` takes in where that was looked
-    /// up.
-    fn is_mapped_near(&self, point: [f64; 2], distance: f64, sought: &mut Lookup) -> bool {
+    /// Whether a cell that is shown, and that is seen from this direction, lies within this distance of the point (m), in x and in y;
+    /// `sought` takes in where that was looked up.
+    fn has_original(&self, point: [f64; 2], seen_from: Angle, distance: f64, sought: &mut Lookup) -> bool {
         let low = CellIndex::of(point[0] - distance, point[1] - distance, self.resolution);
         let high = CellIndex::of(point[0] + distance, point[1] + distance, self.resolution);
         let ((first, left, bottom), (last, right, top)) = (low.split(), high.split());
@@ -530,10 +581,13 @@ impl Visagge {
                 let beyond = if x == last.x { SIDE as usize - 1 - right } else { 0 };
                 let columns = (u64::MAX << from) & (u64::MAX >> beyond);
                 let place = TileIndex { x, y };
-                sought
-                    .tile(self, place)
-                    .and_then(|tile| tile.evidence.as_ref())
-                    .is_some_and(|evidence| evidence.shown[rows.clone()].iter().any(|row| row & columns != 0))
+                sought.tile(self, place).and_then(|tile| tile.evidence.as_ref()).is_some_and(|evidence| {
+                    rows.clone().any(|row| {
+                        cells_of(evidence.shown[row] & columns).any(|column| {
+                            !self.settings.has(Idea::Originals) || evidence.is_seen(column, row, seen_from)
+                        })
+                    })
+                })
             })
         })
     }
@@ -550,6 +604,7 @@ mod tests {
     };
 
     /// A row of cells along x (m), all seen from `range` metres away over these bearings of the sensor (degrees).
+    #[derive(Clone)]
     struct Row {
         x: [f64; 2],
         y: f64,
@@ -620,6 +675,33 @@ mod tests {
         let box_ = Row { x: [1.4, 1.6], y: 4.01, bearings: [-24.0, -23.0], range: 3.8, is_missed: false };
         let rows: Vec<Row> = mirror().into_iter().chain([box_]).collect();
         assert_eq!(verdicts(&rows, [[1.51, 4.01], [1.01, 3.01]]), [Verdict::Solid, Verdict::Image]);
+    }
+
+    #[test]
+    fn what_is_seen_from_the_other_side_only_is_no_original() {
+        // Far enough apart that none is where another would show the robot.
+        let at = |y: f64, row: &Row| Row { y, range: y as f32, ..row.clone() };
+        let [mirror, original, image] = mirror();
+        let [mirror, image] = [at(3.01, &mirror), at(3.41, &image)];
+        let seen_from = |bearings: [f64; 2]| {
+            let original = Row { bearings, is_missed: true, ..at(2.61, &original) };
+            let [image] = verdicts(&[mirror.clone(), original, image.clone()], [[1.01, 3.41]]);
+            image
+        };
+        assert_eq!(seen_from([89.0, 91.0]), Verdict::Image, "from where the mirror is");
+        assert_eq!(seen_from([-91.0, -89.0]), Verdict::Surface);
+    }
+
+    #[test]
+    fn nothing_is_seen_through_a_wall() {
+        let wall = |bearings, is_missed| Row { x: [0.0, 2.0], y: 1.01, bearings, range: 1.0, is_missed };
+        let behind =
+            |x| Row { x: [x, x + 0.2], y: 3.01, bearings: [-91.0, -89.0], range: 3.0, is_missed: false };
+        let seen = |wall: Row, x| verdicts(&[wall, behind(x)], [[x + 0.06, 3.01]])[0];
+        assert_eq!(seen(wall([-100.0, -80.0], false), 1.0), Verdict::Image);
+        assert_eq!(seen(wall([-100.0, -80.0], false), 1.85), Verdict::Solid, "just past its end");
+        assert_eq!(seen(wall([-92.0, -88.0], false), 1.0), Verdict::Solid, "it may be glass");
+        assert_eq!(seen(wall([-100.0, -80.0], true), 1.0), Verdict::Solid, "a door that was open before");
     }
 
     #[test]

@@ -27,6 +27,52 @@ impl Squares {
     }
 }
 
+/// Some cells of a tile, square by square, for lines that go from one square to the next.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CellsBySquare {
+    squares: u64,
+    /// Of each square that holds one, in their order.
+    cells: Vec<u64>,
+}
+
+impl From<[u64; SIDE as usize]> for CellsBySquare {
+    /// From a bit for each cell, a word a row.
+    fn from(rows: [u64; SIDE as usize]) -> CellsBySquare {
+        let mut all = [0; SIDE as usize];
+        for (row, cells) in rows.into_iter().enumerate().filter(|(_, cells)| *cells != 0) {
+            for (square, cells) in (row & 0o70..).zip(cells.to_le_bytes()) {
+                all[square] |= u64::from(cells) << (8 * (row & 7));
+            }
+        }
+        let squares =
+            (0..).zip(all).fold(0, |squares, (square, cells)| squares | u64::from(cells != 0) << square);
+        CellsBySquare { squares, cells: all.into_iter().filter(|cells| *cells != 0).collect() }
+    }
+}
+
+impl CellsBySquare {
+    /// A bit for each square that holds one, row by row.
+    pub fn squares(&self) -> u64 {
+        self.squares
+    }
+
+    /// A bit for each of those in a square, row by row.
+    pub fn cells(&self, square: usize) -> u64 {
+        let before = (self.squares & ((1 << square) - 1)).count_ones();
+        if self.squares >> square & 1 == 1 { self.cells[before as usize] } else { 0 }
+    }
+
+    /// Whether the cell in this column and row is one of them.
+    pub fn has(&self, column: usize, row: usize) -> bool {
+        self.cells(row & 0o70 | column >> 3) >> ((row & 7) << 3 | column & 7) & 1 == 1
+    }
+
+    /// Memory beside itself (bytes).
+    pub fn bytes(&self) -> usize {
+        self.cells.capacity() * size_of::<u64>()
+    }
+}
+
 /// A bit for each of some cells of a tile and of its neighbours' next to it, a word a row.
 pub struct CellsAround([u128; Self::ROWS as usize]);
 
@@ -130,6 +176,16 @@ impl Reach {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn cells_are_found_in_their_squares() {
+        let mut rows = [0; SIDE as usize];
+        (rows[9], rows[15], rows[63]) = (1 << 8 | 1 << 3, 1 << 15, 1 << 63);
+        let cells = CellsBySquare::from(rows);
+        assert_eq!(cells.squares(), 1 << 8 | 1 << 9 | 1 << 63);
+        assert_eq!([8, 9, 63].map(|square| cells.cells(square)), [1 << 11, 1 << 8 | 1 << 63, 1 << 63]);
+        assert_eq!(cells.cells(10), 0);
+    }
 
     #[test]
     fn cells_of_nine_tiles_are_found() {

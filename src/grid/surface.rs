@@ -37,6 +37,10 @@ const ON_LINE: f64 = 0.06;
 const CLUTTER: f64 = 0.3;
 /// Most that a flat surface spreads across its line, root mean square (m): cells, ranges and poses.
 const FLAT: f32 = 0.035;
+/// What lies this near is part of the same thing (m): the legs of who stands.
+const AROUND: f64 = 0.25;
+/// Share of what is around a cell that has come, if it came with it.
+const COME_AS_ONE: f64 = 0.9;
 /// Most cells without evidence that a long surface bridges: a frame, somebody in front.
 const BRIDGE: i32 = 5;
 
@@ -121,6 +125,8 @@ struct Neighbour {
     at: [f64; 2],
     seen_from: Angle,
     weight: f64,
+    /// Whether a beam had crossed it before the first return came.
+    was_crossed: bool,
     /// Whether it was hardly ever missed: what stands behind a pane, not somebody's other leg.
     is_solid: bool,
 }
@@ -178,6 +184,7 @@ impl Window {
                 at: cell.returns_at(index, grid.resolution),
                 seen_from: cell.visible.range.middle(),
                 weight: f64::from(cell.returns.occupancy.min(WEIGHT)),
+                was_crossed: cell.returns.was_crossed,
                 is_solid: is_solid(&cell, &grid.settings),
             };
         }
@@ -208,6 +215,23 @@ impl Window {
             .filter(|long| long.is_flat() && long.length > patch.length);
         let line = long.unwrap_or(patch);
         Some(Line { share: self.share(&line, index, seen_from), ..line })
+    }
+
+    /// Whether a cell has come with all that is around it: nearly nothing there had stood before a beam crossed it. Single cells of what
+    /// stands are crossed by errors of poses.
+    pub fn has_come(&self, index: CellIndex, cell: &Cell, reach: &mut Reach) -> bool {
+        let [x, y] = self.inside(index);
+        reach.extend([x - PATCH, y - PATCH]);
+        reach.extend([x + PATCH, y + PATCH]);
+        let origin = cell.returns_at(index, self.resolution);
+        let (mut came, mut all) = (0.0, 0.0);
+        self.near(index, Angle(0), u32::MAX, |neighbour| {
+            if (neighbour.at[0] - origin[0]).hypot(neighbour.at[1] - origin[1]) <= AROUND {
+                came += f64::from(u8::from(neighbour.was_crossed)) * neighbour.weight;
+                all += neighbour.weight;
+            }
+        });
+        came > COME_AS_ONE * all
     }
 
     /// See [`Line::share`].

@@ -91,6 +91,10 @@ const GAP: i32 = 5;
 const WIDE: f64 = 0.17;
 /// Or if its returns came over at least this time (s): nobody who walks stays in a cell for a second.
 const LASTING: f32 = 1.0;
+/// What has come as a whole may be somebody who waits, for whom half a minute (s) is long. What has been put down and stays will be seen again.
+const STAYING: f32 = 30.0;
+/// But not if it is flat and as long as this (m): nobody is as wide.
+const LARGE: f32 = 0.7;
 /// What was solid has been taken away if it was missed over this range (rad) and never seen again: 3 degrees, the error of a view
 /// angle at 1 m.
 const GONE: f64 = 0.05;
@@ -154,14 +158,17 @@ impl Visagge {
         &self,
         index: CellIndex,
         cell: &Cell,
-        window: impl FnOnce() -> &'a Window,
+        window: impl Fn() -> &'a Window,
     ) -> Shape {
         let settings = &self.settings;
         // Of what is shown in any case and nothing is seen through, the surface does not matter.
-        let is_shown = shape(cell, None, settings).is_shown();
+        let alone = shape(cell, None, false, settings);
         let is_seen_through = u32::from(cell.missed.width) >= units(SEEN_THROUGH);
-        let matters = cell.returns.occupancy >= LEAST_HITS && (!is_shown || is_seen_through);
         let mut reach = Reach::at(cell.returns.place);
+        let may_go = alone == Verdict::Solid && cell.returns.was_crossed && cell.lasted() < STAYING;
+        let has_come = may_go && settings.has(Idea::Visitors) && window().has_come(index, cell, &mut reach);
+        let matters =
+            cell.returns.occupancy >= LEAST_HITS && (!alone.is_shown() || is_seen_through || has_come);
         let line = if matters {
             let window = window();
             let plane = window.surface(index, cell, units(OF_PLANE), &mut reach);
@@ -171,7 +178,7 @@ impl Visagge {
         } else {
             None
         };
-        let verdict = shape(cell, line.as_ref(), settings);
+        let verdict = shape(cell, line.as_ref(), has_come, settings);
         let mirror = line
             .filter(|line| verdict.is_shown() && is_seen_through && line.is_flat())
             .map(|line| Mirror { line, visible: cell.visible.range });
@@ -211,11 +218,19 @@ fn is_gone(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> bool
         && settings.has(Idea::TakenAway)
 }
 
-fn shape(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> Verdict {
+/// Whether nothing is seen through the cell, which is solid: it was not crossed before it was first seen, and it is seen from so many
+/// directions that it is no glass with nothing behind.
+pub(super) fn is_wall(cell: &Cell) -> bool {
+    !cell.returns.was_crossed && u32::from(cell.visible.range.width) >= units(WIDE)
+}
+
+/// `has_come`: with all around it, and it may go again.
+fn shape(cell: &Cell, line: Option<&Line>, has_come: bool, settings: &VisaggeSettings) -> Verdict {
     if cell.returns.occupancy < LEAST_HITS {
         return Verdict::TooFew;
     }
-    if is_solid(cell, settings) && !is_gone(cell, line, settings) {
+    let is_large = || line.is_some_and(|line| line.is_flat() && line.length >= LARGE);
+    if is_solid(cell, settings) && !is_gone(cell, line, settings) && (!has_come || is_large()) {
         return Verdict::Solid;
     }
     if cell.returns.passes > 0 {
@@ -232,7 +247,7 @@ mod tests {
         angle::{Angle, AngleRange},
         cell::Returns,
         tiles::TileIndex,
-        track::Track,
+        track::{Sector, Track},
         visagge::VisaggeSettings,
     };
 
@@ -272,11 +287,38 @@ mod tests {
             let start = Angle::from_rad(from.to_radians());
             cell.missed = AngleRange { start, width: units(5f64.to_radians()) as u16 };
             cell.seen_again = seen_again;
-            shape(&cell, Some(&box_), &VisaggeSettings::default())
+            shape(&cell, Some(&box_), false, &VisaggeSettings::default())
         };
         assert_eq!(missed(-50.0, false), Verdict::NoSurface);
         assert_eq!(missed(-50.0, true), Verdict::Solid);
         assert_eq!(missed(-85.0, false), Verdict::Solid, "along its face");
+    }
+
+    #[test]
+    fn who_has_come_and_waits_is_not_shown() {
+        // Cells of 8 returns over some seconds, seen over 15 degrees: `c` were crossed before, `#` never.
+        let shown = |drawing: &[&str], lasted: f32| {
+            let mut grid = Visagge::new(0.05, VisaggeSettings::default());
+            let number = grid.tiles.find_or_make(TileIndex { x: 0, y: 0 });
+            let cells = drawing.iter().enumerate().flat_map(|(row, line)| {
+                let cells = line.bytes().enumerate().filter(|(_, cell)| *cell != b'.');
+                cells.map(move |(column, cell)| {
+                    let mut returns = Returns::new([column as u8 + 20, row as u8 + 20], cell == b'c');
+                    (returns.occupancy, returns.hits, returns.hit_time) = (8, 8, [0.0, lasted]);
+                    let range = AngleRange { start: Angle(0), width: units(0.26) as u16 };
+                    (returns, Track { visible: Sector { range, ends: [1000; 2] }, ..Track::default() })
+                })
+            });
+            grid.tiles.at_mut(number).evidence.get_or_insert_default().fill(cells);
+            grid.decide();
+            grid.cells().filter(|(.., judgement)| judgement.verdict.is_shown()).count()
+        };
+        let legs = ["cc....cc", "cc....cc"];
+        assert_eq!(shown(&legs, 9.0), 0);
+        assert!(shown(&legs, 40.0) > 0, "longer than people wait");
+        // What is there, with one cell that an error of a pose has crossed.
+        assert_eq!(shown(&["#c#.####"], 9.0), 7);
+        assert_eq!(shown(&["cccccccccccccccccccc"], 9.0), 20, "a shutter of a metre");
     }
 
     #[test]

@@ -17,7 +17,7 @@ use super::{
     reflection::{Block, Opacity, ROUNDS, Sources},
     saved::PAUSE_NS,
     slots::Slots,
-    squares::Squares,
+    squares::{CellsBySquare, Squares},
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
     track::{LANES, Look, Track, distance_units},
@@ -127,7 +127,9 @@ pub(super) struct Evidence {
     pub(super) shaped: [u64; SIDE as usize],
     /// The same with gaps bridged.
     pub(super) shown: [u64; SIDE as usize],
-    /// Those of these that something may be seen through or in.
+    /// Those of these that nothing is seen through.
+    pub(super) walls: CellsBySquare,
+    /// Those that something may be seen through or in.
     pub(super) mirrors: Option<Box<Mirrors>>,
     /// What the images among the cells were judged by, in all rounds.
     pub(super) sources: Sources,
@@ -156,6 +158,7 @@ impl Default for Evidence {
             emptied: Squares::default(),
             shaped: [0; SIDE as usize],
             shown: [0; SIDE as usize],
+            walls: CellsBySquare::default(),
             mirrors: None,
             sources: Sources::default(),
             rounds: Default::default(),
@@ -208,6 +211,7 @@ impl Evidence {
             + self.cells.bytes()
             + self.judgements.capacity() * size_of::<Judgement>()
             + self.mirrors.as_ref().map_or(0, |mirrors| mirrors.bytes())
+            + self.walls.bytes()
             + self.sources.bytes()
             + self.rounds.iter().map(Round::bytes).sum::<usize>()
     }
