@@ -2,7 +2,7 @@
 //!
 //! The poses are read first, in a pass of their own, and given to the mapper just before the scans that need them.
 //! Ranges: `NaN` and what is below range_min tell nothing (drivers put error codes and masks there), `+inf` and what
-//! is above range_max is no return, `-inf` is too near (REP-117).
+//! is range_max or more is no return (many drivers and simulators say range_max for it), `-inf` is too near (REP-117).
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -349,7 +349,7 @@ fn scan(message: cdr::LaserScan, seq: u64, upside_down: bool) -> Option<Scan> {
     for range in &mut ranges {
         if range.is_finite() && *range < least {
             *range = f32::NAN;
-        } else if *range > most {
+        } else if *range >= most {
             *range = f32::INFINITY;
         }
     }
@@ -377,12 +377,12 @@ mod tests {
             angle_increment: 0.5,
             range_min: 0.1,
             range_max: 10.0,
-            ranges: vec![0.0, 0.1, f32::NAN, 10.0, 10.5, f32::NEG_INFINITY, f32::INFINITY],
+            ranges: vec![0.0, 0.1, f32::NAN, 10.0, 10.5, f32::NEG_INFINITY, f32::INFINITY, 9.999],
             intensities: vec![1.0],
             ..cdr::LaserScan::default()
         };
         let scan = scan(message.clone(), 0, true).unwrap();
-        assert_eq!(format!("{:?}", scan.ranges), "[NaN, 0.1, NaN, 10.0, inf, -inf, inf]");
+        assert_eq!(format!("{:?}", scan.ranges), "[NaN, 0.1, NaN, inf, inf, -inf, inf, 9.999]");
         assert_eq!((scan.geometry.angle_min, scan.geometry.angle_increment), (1.0, -0.5));
         assert!(scan.intensities.is_empty());
         assert!(super::scan(cdr::LaserScan { angle_increment: 0.0, ..message }, 0, false).is_none());
