@@ -25,7 +25,7 @@ use crate::mapper::PoseUse;
 use crate::pose::{Pose, StampedPose};
 use crate::scan::Scan;
 
-pub use poses::{PoseSource, parse_pose};
+pub use poses::{CHOICES, PoseSource, parse_pose};
 
 /// Takes what an input gives.
 pub trait Sink {
@@ -145,6 +145,14 @@ pub enum InputError {
     NoPoses {
         /// What was looked for.
         what: String,
+    },
+    /// Neither a file of poses nor a word.
+    #[error(
+        "there is no file of poses {}; --pose takes {CHOICES}", path.display()
+    )]
+    NoPoseFile {
+        /// What was taken for a file.
+        path: PathBuf,
     },
     /// A file of poses with a bad line.
     #[error("{}:{line}: {what}", path.display())]
