@@ -54,6 +54,8 @@ pub struct InputOptions {
     pub base_frame: Option<String>,
     /// The scanner in the robot's frame, where the input does not tell or tells it wrong.
     pub mount: Option<Pose>,
+    /// Whether the mapper's settings tell that where nothing else does.
+    pub mount_in_settings: bool,
     /// Model that a bare SCIP stream without an answer to PP came from; `None`: UTM-30LX.
     pub model: Option<String>,
 }
