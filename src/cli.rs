@@ -103,7 +103,8 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Poses: recorded, tf, odom, FILE.tum, fixed where the scanner stood still, fixed:X,Y,YAW (m, m, rad), match with
-    /// the input's odometry as a guide, or match-ranges without. Without it, what the input has, else match.
+    /// the input's odometry as a guide, or match-ranges without. Without it, what the input has, else match; a bag's odometry
+    /// drifts (the topic, and transforms from a frame odom): it is a guide, and taken for true by odom or tf only.
     #[arg(long, value_name = "SRC")]
     pub pose: Option<input::PoseSource>,
     /// Kind of the grid: visagge, paper, standard, visits or glints. Without it, that of the recording, or visagge.
@@ -130,7 +131,7 @@ pub struct ReplayArgs {
     /// Topic of the scans in a bag.
     #[arg(long, value_name = "TOPIC")]
     pub scan_topic: Option<String>,
-    /// Topic of the odometry in a bag.
+    /// Topic of the odometry in a bag, which is then the guide. Without it, the only one, or /odom.
     #[arg(long, value_name = "TOPIC")]
     pub odom_topic: Option<String>,
     /// Frame in which the map is made. Without it, map where the bag has it, else its highest.
@@ -139,7 +140,8 @@ pub struct ReplayArgs {
     /// Frame of the robot. Without it, base_link, or base_footprint.
     #[arg(long, value_name = "FRAME")]
     pub base_frame: Option<String>,
-    /// The scanner on the robot, where the input does not tell or tells it wrong (m, m, rad).
+    /// The scanner on the robot, where the input does not tell or tells it wrong (m, m, rad). Without it, what
+    /// `[mapper.mount]` in --config says, where the input does not tell.
     #[arg(long, value_name = "X,Y,YAW", value_parser = mount, allow_hyphen_values = true)]
     pub mount: Option<Pose>,
     /// Beams that show the robot itself, counted from 0; may be given several times.
@@ -160,6 +162,7 @@ impl ReplayArgs {
             fixed_frame: self.fixed_frame.clone(),
             base_frame: self.base_frame.clone(),
             mount: self.mount,
+            mount_in_settings: false,
             model: self.model.clone(),
         }
     }

@@ -96,7 +96,7 @@ pub fn run(
         return optimize::run(options, on_outcome, on_progress);
     }
     let mut report = InputReport::default();
-    let mut source = input::open(&options.inputs, &options.input, &mut report)?;
+    let mut source = open(options, &mut report)?;
     let settings = settings(options, source.as_ref())?;
     let (mapper, map_file) = begin(options, &settings, source.begun_with(), &mut report)?;
     let total = source.bytes();
@@ -116,6 +116,13 @@ pub fn run(
     feeder.give_outcomes();
     feeder.progress(total);
     Ok(Replay { mapper: feeder.mapper, localization: None, settings, input: report, map_file })
+}
+
+/// The input, which has to know whether the settings tell where the scanner is.
+fn open(options: &ReplayOptions, report: &mut InputReport) -> Result<Box<dyn input::Source>, InputError> {
+    let is_told = options.mapper.as_ref().is_some_and(|settings| settings.mount != Mount::default());
+    let mount_in_settings = options.input.mount_in_settings || is_told;
+    input::open(&options.inputs, &InputOptions { mount_in_settings, ..options.input.clone() }, report)
 }
 
 /// A mapper in the map that it is to go on in, or else an empty one; and where it is to be saved.

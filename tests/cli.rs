@@ -133,3 +133,16 @@ fn an_input_that_is_not_there_has_its_exit_code() {
     assert_eq!(code, 74, "{err}");
     assert!(err.contains("/no/such.mcap"), "{err}");
 }
+
+#[test]
+fn a_word_that_is_no_source_of_poses_is_told_what_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let (log, out) = (folder.path().join("drive.log"), folder.path().join("map"));
+    fs::write(&log, "FLASER 2 1 1 0 0 0 0 0 0 1.5 host 1.5\n").unwrap();
+    let [log, out] = [&log, &out].map(|path| path.to_str().unwrap());
+    let (code, _, err) = visagged(&["replay", log, "--pose", "tff", "--out", out]);
+    assert_eq!(code, 2, "{err}");
+    for wanted in ["tff", "tf, odom, match, match-ranges, fixed", "TUM"] {
+        assert!(err.contains(wanted), "{err}");
+    }
+}

@@ -7,8 +7,7 @@ use std::path::{Path, PathBuf};
 
 use visagged::cdr::{Header, LaserScan, Message, Odometry, TfMessage, Transform, TransformStamped};
 use visagged::input::{InputError, InputOptions, PoseSource};
-use visagged::mapper::PoseUse;
-use visagged::mapper::{MapperKind, Outcome};
+use visagged::mapper::{MapperKind, MapperSettings, Mount, Outcome, PoseUse};
 use visagged::pose::{Pose, pose};
 use visagged::replay::{self, Replay, ReplayError, ReplayOptions};
 
@@ -202,11 +201,151 @@ fn odometry_without_a_mount_asks_for_it() {
     }
     bag.finish();
     assert!(error(&options(std::slice::from_ref(&path), None)).to_string().contains("--mount X,Y,YAW"));
-    let mut with_mount = options(&[path], None);
+    let mut with_mount = options(&[path], Some("odom"));
     with_mount.input.mount = Some(pose(0.5, 0.0, 0.1));
     let (replay, outcomes) = run(&with_mount);
     assert_eq!(starts(&outcomes).len(), 2, "the last scan ends behind the last pose");
     assert!((replay.settings.mount.yaw - 0.1).abs() < 1e-9);
+    with_mount.input.mount = None;
+    with_mount.mapper = Some(mounted(0.1));
+    let (replay, outcomes) = run(&with_mount);
+    assert_eq!((starts(&outcomes).len(), replay.settings.mount.yaw), (2, 0.1));
+}
+
+/// Settings that tell where the scanner is: 0.5 m ahead, turned.
+fn mounted(yaw: f64) -> MapperSettings {
+    MapperSettings { mount: Mount { x: 0.5, yaw, ..Mount::default() }, ..MapperSettings::default() }
+}
+
+/// Three scans, 100 ms apart, among other messages.
+fn bag_of_three(path: &Path, mut write: impl FnMut(&mut BagWriter, i64)) {
+    let mut bag = BagWriter::create(path);
+    for stamp in [0, 100 * MS, 200 * MS] {
+        write(&mut bag, stamp);
+        bag.write("/scan", stamp, &laser_scan(stamp));
+    }
+    bag.finish();
+}
+
+fn metres(stamp_ns: i64) -> f64 {
+    stamp_ns as f64 * 1e-9
+}
+
+#[test]
+fn transforms_without_a_mount_ask_for_it_and_are_used_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("apart.mcap");
+    bag_of_three(&path, |bag, stamp| {
+        bag.write("/tf", stamp, &frame("map", "base_link", stamp, metres(stamp)))
+    });
+    for source in [None, Some("tf"), Some("match")] {
+        let message = error(&options(std::slice::from_ref(&path), source)).to_string();
+        for wanted in ["base_link, map", "frame laser", "--mount X,Y,YAW", "match-ranges"] {
+            assert!(message.contains(wanted), "{source:?}: {message}");
+        }
+    }
+    let (left_alone, _) = run(&options(std::slice::from_ref(&path), Some("match-ranges")));
+    assert_eq!((left_alone.settings.poses, left_alone.input.poses), (PoseUse::Odometry, 0));
+    let mut by_option = options(std::slice::from_ref(&path), None);
+    by_option.input.mount = Some(pose(0.5, 0.0, 0.1));
+    let by_settings = ReplayOptions { mapper: Some(mounted(0.1)), ..options(&[path], None) };
+    for (options, placed) in [(by_option, "as given"), (by_settings, "by the settings")] {
+        let (replay, outcomes) = run(&options);
+        assert_eq!(replay.settings.poses, PoseUse::Map);
+        assert!((replay.settings.mount.x - 0.5).abs() + (replay.settings.mount.yaw - 0.1).abs() < 1e-9);
+        assert_near(&starts(&outcomes)[1], &pose(0.1, 0.0, 0.0));
+        let note = &replay.input.notes[0];
+        assert!(note.contains("base_link in map by tf") && note.contains(placed), "{note}");
+    }
+}
+
+#[test]
+fn what_is_named_and_not_there_is_told_with_what_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    bag_of_three(&path, |bag, stamp| {
+        bag.write("/tf", stamp, &frame("odom", "base_link", stamp, metres(stamp)));
+        bag.write("/tf", stamp, &frame("base_link", "laser", stamp, 0.25));
+        bag.write("/tf", stamp, &frame("base_link", "wheel", stamp, 0.0));
+        bag.write("/wheels", stamp, &odometry(stamp, metres(stamp)));
+    });
+    let set = |set: fn(&mut InputOptions)| {
+        let mut options = options(std::slice::from_ref(&path), None);
+        set(&mut options.input);
+        error(&options)
+    };
+    for (error, wanted) in [
+        (
+            set(|input| input.fixed_frame = Some("map".into())),
+            "no frame map; it has base_link, laser, odom, wheel",
+        ),
+        (set(|input| input.base_frame = Some("/cart".into())), "no frame cart; it has base_link"),
+        (set(|input| input.fixed_frame = Some("wheel".into())), "laser <- base_link <- odom"),
+        (set(|input| input.odom_topic = Some("/odom".into())), "/odom; it has /wheels"),
+        (set(|input| input.scan_topic = Some("/scn".into())), "/scn; it has /scan"),
+        (
+            set(|input| input.pose = Some("tff".parse().unwrap())),
+            "no file of poses tff; --pose takes recorded, tf,",
+        ),
+    ] {
+        assert!(error.to_string().contains(wanted), "{error}");
+        assert!(!matches!(error, InputError::Io { .. }), "it is no fault of reading: {error:?}");
+    }
+}
+
+#[test]
+fn odometry_guides_and_is_taken_for_true_where_that_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name| folder.path().join(name);
+    let by_tf = |parent: &'static str| {
+        move |bag: &mut BagWriter, stamp| {
+            bag.write("/tf", stamp, &frame(parent, "base_link", stamp, metres(stamp)));
+            bag.write("/tf", stamp, &frame("base_link", "laser", stamp, 0.25));
+        }
+    };
+    let by_topic = |fixed: &'static str| {
+        move |bag: &mut BagWriter, stamp| {
+            let mut message = odometry(stamp, metres(stamp));
+            message.header.frame_id = fixed.into();
+            bag.write("/odometry", stamp, &message);
+            bag.write("/tf", stamp, &frame("base_link", "laser", stamp, 0.25));
+        }
+    };
+    bag_of_three(&path("odom.mcap"), by_tf("odom"));
+    bag_of_three(&path("names.mcap"), by_tf("robot1/odom_combined"));
+    bag_of_three(&path("hall.mcap"), by_tf("hall"));
+    bag_of_three(&path("wheels.mcap"), by_topic("odom"));
+    bag_of_three(&path("filter.mcap"), by_topic("map"));
+    bag_of_three(&path("both.mcap"), |bag, stamp| {
+        by_tf("odom")(bag, stamp);
+        by_topic("odom")(bag, stamp);
+    });
+    for (name, source, is_true, told) in [
+        ("odom.mcap", None, false, "--pose tf would take it for true"),
+        ("odom.mcap", Some("match"), false, "in odom by tf"),
+        ("odom.mcap", Some("tf"), true, "in odom by tf"),
+        ("names.mcap", None, false, "--pose tf would"),
+        ("hall.mcap", None, true, "in hall by tf"),
+        ("wheels.mcap", None, false, "by /odometry; scanner laser. Odometry drifts; --pose odom would"),
+        ("wheels.mcap", Some("odom"), true, "by /odometry"),
+        ("filter.mcap", None, true, "by /odometry"),
+        ("both.mcap", None, false, "by /odometry"),
+        ("both.mcap", Some("tf"), true, "in odom by tf"),
+    ] {
+        let (replay, outcomes) = run(&options(&[path(name)], source));
+        let expected = if is_true { PoseUse::Map } else { PoseUse::Odometry };
+        assert_eq!((replay.settings.poses, replay.input.poses), (expected, 3), "{name} {source:?}");
+        assert!(replay.input.notes[0].contains(told), "{name} {source:?}: {:?}", replay.input.notes);
+        if is_true {
+            assert_near(&starts(&outcomes)[1], &pose(0.1, 0.0, 0.0));
+        }
+    }
+    // A frame that is named decides whose odometry it is, and does not make it true.
+    let mut named = options(&[path("both.mcap")], None);
+    named.input.fixed_frame = Some("odom".into());
+    let (replay, _) = run(&named);
+    assert_eq!(replay.settings.poses, PoseUse::Odometry);
+    assert!(replay.input.notes[0].contains("in odom by tf"), "{:?}", replay.input.notes);
 }
 
 #[test]
@@ -422,13 +561,13 @@ fn real_office_without_poses() {
 #[test]
 fn real_wheelchair_by_odometry() {
     let Some(path) = data("real/smartwheeler.mcap") else { return };
-    for source in [None, Some("odom")] {
+    for (source, least) in [(None, 860), (Some("tf"), 870), (Some("odom"), 870)] {
         let mut options = options(std::slice::from_ref(&path), source);
         options.ignore_beams = vec![[0, 52], [587, 666], [764, 767]];
         let (replay, outcomes) = run(&options);
         show("wheelchair", &replay, &outcomes);
         assert_eq!(replay.input.scans, 873);
-        assert!(starts(&outcomes).len() >= 870);
+        assert!(starts(&outcomes).len() >= least);
         assert!((replay.settings.mount.x - 0.850326).abs() < 1e-6);
     }
 }

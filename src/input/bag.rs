@@ -1,14 +1,17 @@
 //! A ROS 2 bag in MCAP from anyone: LaserScan messages placed by transforms or odometry.
 //!
 //! The poses are read first, in a pass of their own, and given to the mapper just before the scans that need them.
+//! Poses in a frame such as `map` are true; those of odometry drift (REP-105) and guide the matching, where nobody asks
+//! for them as they are.
+//!
 //! Ranges: `NaN` and what is below range_min tell nothing (drivers put error codes and masks there), `+inf` and what
-//! is above range_max is no return, `-inf` is too near (REP-117).
+//! is range_max or more is no return (many drivers and simulators say range_max for it), `-inf` is too near (REP-117).
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use super::container::{Channel, Entry, visit_all};
-use super::frames::{Frames, isometry, name, yaw};
+use super::frames::{Frames, NoWay, is_map, is_odometry, isometry, name, yaw};
 use super::poses::Poses;
 use super::{InputError, InputOptions, InputReport, PoseSource, Sink, Source};
 use crate::cdr::{self, Message};
@@ -35,6 +38,8 @@ pub(super) struct Placement {
     upside_down: bool,
     /// What the poses are.
     pose_use: PoseUse,
+    /// Where they are odometry's, the word with which `--pose` takes them for true.
+    drifts: Option<&'static str>,
 }
 
 /// What a first pass over the files finds.
@@ -54,7 +59,10 @@ struct ScanTopic {
 
 #[derive(Default)]
 struct OdomTopic {
-    frame: String,
+    /// Frame in which the poses are.
+    fixed: String,
+    /// Frame whose poses these are.
+    base: String,
     poses: Vec<StampedPose>,
 }
 
@@ -113,7 +121,8 @@ impl Survey {
                 } else {
                     self.frames.bad += 1;
                 }
-                topic.frame = odometry.child_frame_id;
+                topic.fixed = odometry.header.frame_id;
+                topic.base = odometry.child_frame_id;
             }
             _ => {}
         }
@@ -146,11 +155,39 @@ impl Survey {
         Self::choose(&self.scans, options.scan_topic.as_deref(), "/scan", "scans (sensor_msgs/msg/LaserScan)")
     }
 
+    fn odometry(&self, options: &InputOptions) -> Result<(&str, &OdomTopic), InputError> {
+        let wanted = options.odom_topic.as_deref();
+        Self::choose(&self.odometry, wanted, "/odom", "odometry (nav_msgs/msg/Odometry)")
+    }
+
+    /// What is named is there, whether or not it would be used.
+    fn check_names(&self, laser: &str, options: &InputOptions) -> Result<(), InputError> {
+        if options.odom_topic.is_some() {
+            self.odometry(options)?;
+        }
+        let mut frames = self.frames.names();
+        frames.insert(name(laser));
+        frames.extend(self.odometry.values().flat_map(|topic| [name(&topic.fixed), name(&topic.base)]));
+        frames.remove("");
+        // Poses from outside may be of a frame that only they know.
+        let is_outside = matches!(options.pose, Some(PoseSource::File(_) | PoseSource::Fixed(_)));
+        let base = options.base_frame.as_deref().filter(|_| !is_outside || options.mount.is_none());
+        let missing = [options.fixed_frame.as_deref(), base].into_iter().flatten();
+        match missing.map(name).find(|wanted| !frames.contains(wanted)) {
+            None => Ok(()),
+            Some(wanted) => {
+                let there_are = frames.into_iter().collect::<Vec<_>>().join(", ");
+                Err(InputError::Bag { what: format!("the bag has no frame {wanted}; it has {there_are}") })
+            }
+        }
+    }
+
     /// Poses as the options want them, or the best that there are.
     pub(super) fn poses(&self, options: &InputOptions) -> Result<Placement, InputError> {
         let laser = &self.scans(options)?.1.frame;
+        self.check_names(laser, options)?;
         match &options.pose {
-            Some(PoseSource::Tf) => self.by_tf(laser, options).map_err(|what| InputError::NoPoses { what }),
+            Some(PoseSource::Tf) => self.by_tf(laser, options).map_err(no_poses),
             Some(PoseSource::Odom) => self.by_odometry(laser, options),
             outside @ Some(PoseSource::File(_) | PoseSource::Fixed(_)) => {
                 let base = options.base_frame.as_deref().unwrap_or("base_link");
@@ -166,47 +203,76 @@ impl Survey {
                     mount: options.mount.or(mount),
                     upside_down: upside_down.unwrap_or(false),
                     pose_use: PoseUse::Map,
+                    drifts: None,
                 })
             }
             Some(PoseSource::Match { odometry }) => self.by_matching(laser, *odometry, options),
-            None | Some(PoseSource::Recorded) => self.by_tf(laser, options).or_else(|_| {
-                if self.odometry.is_empty() {
-                    return self.by_matching(laser, false, options);
-                }
-                self.by_odometry(laser, options)
-            }),
+            None | Some(PoseSource::Recorded) => self.by_what_there_is(laser, options),
         }
     }
 
-    fn by_tf(&self, laser: &str, options: &InputOptions) -> Result<Placement, String> {
-        let way = self.frames.way(laser, options.base_frame.as_deref(), options.fixed_frame.as_deref())?;
-        let note = format!("poses of {} in {} by tf; scanner {}", way.base, way.fixed, name(laser));
+    /// Poses that are true, else matching with what odometry there is.
+    fn by_what_there_is(&self, laser: &str, options: &InputOptions) -> Result<Placement, InputError> {
+        let is_true = |placement: &Placement| placement.drifts.is_none();
+        if options.odom_topic.is_none()
+            && let Some(placement) = self.by_tf(laser, options).ok().filter(is_true)
+        {
+            return Ok(placement);
+        }
+        if self.prefers_topic(options)
+            && let Some(placement) = self.by_odometry(laser, options).ok().filter(is_true)
+        {
+            return Ok(placement);
+        }
+        let mut matched = self.by_matching(laser, true, options)?;
+        if let Some(word) = matched.drifts {
+            matched.note.push_str(&format!(". Odometry drifts; --pose {word} would take it for true"));
+        }
+        Ok(matched)
+    }
+
+    fn by_tf(&self, laser: &str, options: &InputOptions) -> Result<Placement, NoWay> {
+        let has_mount = options.mount.is_some() || options.mount_in_settings;
+        let (base, fixed) = (options.base_frame.as_deref(), options.fixed_frame.as_deref());
+        let way = self.frames.way(laser, base, fixed, has_mount)?;
+        let placed = match (options.mount, way.mount) {
+            (Some(_), _) => ", placed as given",
+            (None, Some(_)) => "",
+            (None, None) => ", placed by the settings",
+        };
+        let note = format!("poses of {} in {} by tf; scanner {}{placed}", way.base, way.fixed, name(laser));
+        let drifts = (way.poses.is_some() && is_odometry(&way.fixed)).then_some("tf");
         let poses = way.poses.map_or(Poses::Fixed(way.standing), Poses::known);
-        let mount = Some(options.mount.unwrap_or(way.mount));
-        Ok(Placement { poses, note, mount, upside_down: way.upside_down, pose_use: PoseUse::Map })
+        let mount = options.mount.or(way.mount);
+        Ok(Placement { poses, note, mount, upside_down: way.upside_down, pose_use: PoseUse::Map, drifts })
     }
 
     fn by_odometry(&self, laser: &str, options: &InputOptions) -> Result<Placement, InputError> {
-        let (topic, odometry) = Self::choose(
-            &self.odometry,
-            options.odom_topic.as_deref(),
-            "/odom",
-            "odometry (nav_msgs/msg/Odometry)",
-        )?;
-        let by_frames = self.frames.mount(laser, &odometry.frame);
-        let Some(mount) = options.mount.or(by_frames.map(|(mount, _)| mount)) else {
+        let (topic, odometry) = self.odometry(options)?;
+        let base = Some(name(&odometry.base)).filter(|base| !base.is_empty()).unwrap_or("base_link");
+        let by_frames = self.frames.mount(laser, base);
+        let mount = options.mount.or(by_frames.map(|(mount, _)| mount));
+        if mount.is_none() && !options.mount_in_settings {
             return Err(InputError::Bag {
                 what: format!(
-                    "{topic} gives poses of {}, and the bag does not tell where {} is on it: give --mount X,Y,YAW",
-                    name(&odometry.frame),
+                    "{topic} gives poses of {base}, and the bag does not tell where {} is on it: give --mount X,Y,YAW, or \
+                     leave them alone with --pose match-ranges",
                     name(laser),
                 ),
             });
-        };
+        }
         let upside_down = by_frames.is_some_and(|(_, upside_down)| upside_down);
-        let note = format!("poses of {} by {topic}; scanner {}", name(&odometry.frame), name(laser));
+        let note = format!("poses of {base} by {topic}; scanner {}", name(laser));
         let poses = Poses::known(odometry.poses.clone());
-        Ok(Placement { poses, note, mount: Some(mount), upside_down, pose_use: PoseUse::Map })
+        let drifts = (!is_map(name(&odometry.fixed))).then_some("odom");
+        Ok(Placement { poses, note, mount, upside_down, pose_use: PoseUse::Map, drifts })
+    }
+
+    /// Whether odometry is the topic's rather than that of transforms: frames that are named are theirs.
+    fn prefers_topic(&self, options: &InputOptions) -> bool {
+        let fixed = options.fixed_frame.as_deref();
+        !self.odometry.is_empty()
+            && (options.odom_topic.is_some() || fixed.is_none_or(|fixed| !self.frames.has(fixed)))
     }
 
     /// Matching, guided by odometry where it is wanted and there: the topic, else the highest frame, which is odometry's
@@ -217,10 +283,27 @@ impl Survey {
         with_odometry: bool,
         options: &InputOptions,
     ) -> Result<Placement, InputError> {
-        let guide = match (with_odometry, self.odometry.is_empty()) {
-            (true, false) => Some(self.by_odometry(laser, options)?),
-            (true, true) => self.by_tf(laser, options).ok(),
-            (false, _) => None,
+        let mut why = String::new();
+        let guide = if !with_odometry {
+            None
+        } else if self.prefers_topic(options) {
+            match self.by_odometry(laser, options) {
+                // Transforms may know what the topic does not tell: whose poses these are.
+                Err(error) if options.odom_topic.is_none() => {
+                    Some(self.by_tf(laser, options).map_err(|_| error)?)
+                }
+                result => Some(result?),
+            }
+        } else {
+            match self.by_tf(laser, options) {
+                Err(NoWay::Nowhere(what)) => {
+                    if !self.frames.names().is_empty() {
+                        why = format!(" ({what})");
+                    }
+                    None
+                }
+                result => Some(result.map_err(no_poses)?),
+            }
         };
         if let Some(guide) = guide {
             let note = format!("scans are matched; odometry: {}", guide.note);
@@ -230,11 +313,20 @@ impl Survey {
         let (mount, upside_down) = self.frames.mount(laser, base).unzip();
         Ok(Placement {
             poses: Poses::None,
-            note: super::MATCHED.to_owned(),
+            note: format!("{}{why}", super::MATCHED),
             mount: options.mount.or(mount),
             upside_down: upside_down.unwrap_or(false),
             pose_use: PoseUse::Odometry,
+            drifts: None,
         })
+    }
+}
+
+/// Transforms without a way are no poses; what was named or is missing can be told.
+fn no_poses(why: NoWay) -> InputError {
+    match why {
+        NoWay::Nowhere(what) => InputError::NoPoses { what },
+        NoWay::NoFrame(what) | NoWay::NoMount(what) => InputError::Bag { what },
     }
 }
 
@@ -349,7 +441,7 @@ fn scan(message: cdr::LaserScan, seq: u64, upside_down: bool) -> Option<Scan> {
     for range in &mut ranges {
         if range.is_finite() && *range < least {
             *range = f32::NAN;
-        } else if *range > most {
+        } else if *range >= most {
             *range = f32::INFINITY;
         }
     }
@@ -377,12 +469,12 @@ mod tests {
             angle_increment: 0.5,
             range_min: 0.1,
             range_max: 10.0,
-            ranges: vec![0.0, 0.1, f32::NAN, 10.0, 10.5, f32::NEG_INFINITY, f32::INFINITY],
+            ranges: vec![0.0, 0.1, f32::NAN, 10.0, 10.5, f32::NEG_INFINITY, f32::INFINITY, 9.999],
             intensities: vec![1.0],
             ..cdr::LaserScan::default()
         };
         let scan = scan(message.clone(), 0, true).unwrap();
-        assert_eq!(format!("{:?}", scan.ranges), "[NaN, 0.1, NaN, 10.0, inf, -inf, inf]");
+        assert_eq!(format!("{:?}", scan.ranges), "[NaN, 0.1, NaN, inf, inf, -inf, inf, 9.999]");
         assert_eq!((scan.geometry.angle_min, scan.geometry.angle_increment), (1.0, -0.5));
         assert!(scan.intensities.is_empty());
         assert!(super::scan(cdr::LaserScan { angle_increment: 0.0, ..message }, 0, false).is_none());

@@ -348,7 +348,7 @@ mod tests {
     #[test]
     fn a_robotlaser_line() {
         let read =
-            laser("ROBOTLASER1 0 -1.5 3 0.75 40 0.01 1 3 1 40.5 50 3 7 8 9 1 2 3 4 5 6 0 0 0 0 0 7.5 host 8");
+            laser("ROBOTLASER1 0 -1.5 3 0.75 40 0.01 1 3 1 40.0 50 3 7 8 9 1 2 3 4 5 6 0 0 0 0 0 7.5 host 8");
         assert_eq!(read.scan.ranges, [1.0, f32::INFINITY, f32::INFINITY]);
         assert_eq!(read.scan.intensities, [7.0, 8.0, 9.0]);
         assert_eq!((read.scan.geometry.angle_min, read.scan.geometry.angle_increment), (-1.5, 0.75));

@@ -3,7 +3,7 @@
 //! Source: REP-105 for the frames, tf2 for interpolation between samples. Positions are projected onto the plane, and
 //! so are headings: that of a frame is the direction of its x axis.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
@@ -85,14 +85,47 @@ pub struct Way {
     pub base: String,
     /// Frame that they are given in.
     pub fixed: String,
-    /// The scanner in `base`.
-    pub mount: Pose,
+    /// The scanner in `base`; `None` where no transform connects the two.
+    pub mount: Option<Pose>,
     /// Whether the scanner hangs head down, its bearings clockwise.
     pub upside_down: bool,
     /// `None` where no frame on the way has ever moved in time: `standing` then holds for all of it.
     pub poses: Option<Vec<StampedPose>>,
     /// Pose of a robot that stands.
     pub standing: Pose,
+}
+
+/// Why there is no way, with the frames that there are.
+#[derive(Debug)]
+pub enum NoWay {
+    /// A frame that was asked for is not there.
+    NoFrame(String),
+    /// There is one of the robot, but where the scanner is on it is not told.
+    NoMount(String),
+    /// Nothing tells where the robot was.
+    Nowhere(String),
+}
+
+/// The robot's frame, where nothing else is said.
+const BASES: [&str; 2] = ["base_link", "base_footprint"];
+
+/// A frame's name without the robot's in front of it.
+fn own_name(frame: &str) -> &str {
+    frame.rsplit('/').next().unwrap_or(frame)
+}
+
+/// Whether poses in this frame are true to the ground.
+pub fn is_map(frame: &str) -> bool {
+    ["map", "world", "earth"].contains(&own_name(frame))
+}
+
+/// Whether poses in this frame drift (REP-105).
+pub fn is_odometry(frame: &str) -> bool {
+    own_name(frame).contains("odom")
+}
+
+fn is_ground(frame: &str) -> bool {
+    is_map(frame) || is_odometry(frame)
 }
 
 /// All frames of a bag.
@@ -179,36 +212,98 @@ impl Frames {
         Some((planar(&transform), is_upside_down(&transform)))
     }
 
-    /// The way of the robot that carries `laser`.
+    /// Whether a transform names the frame.
+    pub fn has(&self, frame: &str) -> bool {
+        let frame = name(frame);
+        self.edges.contains_key(frame) || self.edges.values().any(|edge| edge.parent == frame)
+    }
+
+    /// All that transforms name.
+    pub fn names(&self) -> BTreeSet<&str> {
+        self.edges.iter().flat_map(|(child, edge)| [child.as_str(), edge.parent.as_str()]).collect()
+    }
+
+    /// Whether frames from one up to the highest tell where something was on the ground.
+    fn leads(&self, ancestry: &[&str], fixed: Option<&str>) -> bool {
+        let Some(top) = ancestry.last() else { return false };
+        match fixed {
+            Some(fixed) => ancestry.contains(&name(fixed)),
+            None => is_ground(top) || self.edges_between(ancestry).any(|edge| !edge.is_static),
+        }
+    }
+
+    /// The robot, where it is in no frame above the scanner's: by its usual name, else what alone moves on the ground.
+    fn apart(&self, fixed: Option<&str>) -> Option<&str> {
+        if let Some(base) = BASES.into_iter().find(|base| self.leads(&self.ancestry(base), fixed)) {
+            return Some(base);
+        }
+        let mut moving = self.edges.iter().filter(|(child, edge)| {
+            !edge.is_static
+                && !is_ground(child)
+                && is_ground(&edge.parent)
+                && self.leads(&self.ancestry(child), fixed)
+        });
+        let (only, _) = moving.next()?;
+        moving.next().is_none().then_some(only)
+    }
+
+    /// The way of the robot that carries `laser`. `has_mount` where it is known from elsewhere how.
     ///
     /// # Errors
     /// Says which frames there are.
-    pub fn way(&self, laser: &str, base: Option<&str>, fixed: Option<&str>) -> Result<Way, String> {
-        let ancestry = self.ancestry(name(laser));
-        let position = |wanted: &str| ancestry.iter().position(|frame| *frame == name(wanted));
-        let there_are = || format!("frames above the scanner's are: {}", ancestry.join(" <- "));
-        let top = match fixed {
-            Some(wanted) => {
-                position(wanted).ok_or_else(|| format!("no frame {wanted:?}; {}", there_are()))?
+    pub fn way(
+        &self,
+        laser: &str,
+        base: Option<&str>,
+        fixed: Option<&str>,
+        has_mount: bool,
+    ) -> Result<Way, NoWay> {
+        let laser = name(laser);
+        let above_laser = self.ancestry(laser);
+        // A bag that does not connect the two has the robot's poses nevertheless.
+        let apart = match base.map(name) {
+            Some(base) => (!above_laser.contains(&base)).then_some(base),
+            None => {
+                let from = BASES.iter().find_map(|base| above_laser.iter().position(|frame| frame == base));
+                let leads = self.leads(&above_laser[from.unwrap_or(0)..], fixed);
+                if leads { None } else { self.apart(fixed) }
             }
+        };
+        let ancestry = apart.map_or(above_laser, |robot| self.ancestry(robot));
+        let position = |wanted: &str| ancestry.iter().position(|frame| *frame == name(wanted));
+        let there_are = || format!("frames above {} are: {}", ancestry[0], ancestry.join(" <- "));
+        let top = match fixed {
+            Some(wanted) => position(wanted).ok_or_else(|| {
+                NoWay::NoFrame(format!("{wanted} is not above {}; {}", ancestry[0], there_are()))
+            })?,
             None => position("map").unwrap_or(ancestry.len() - 1),
         };
-        let wanted_base = match base {
-            Some(wanted) => {
-                Some(position(wanted).ok_or_else(|| format!("no frame {wanted:?}; {}", there_are()))?)
-            }
-            None => position("base_link").or_else(|| position("base_footprint")),
+        if let Some(robot) = apart.filter(|_| !has_mount && self.leads(&ancestry, fixed)) {
+            return Err(NoWay::NoMount(format!(
+                "the bag has poses of {robot} in {}, but no transform from {robot} to the scanner's frame {laser}; its frames \
+                 are {}. Say where the scanner is on {robot} with --mount X,Y,YAW, or leave these poses alone with --pose \
+                 match-ranges",
+                ancestry[top],
+                self.names().into_iter().collect::<Vec<_>>().join(", "),
+            )));
+        }
+        let wanted_base = match (apart, base) {
+            (Some(_), _) => Some(0),
+            (None, Some(named)) => position(named),
+            (None, None) => BASES.into_iter().find_map(position),
         };
         // A scanner that moves on the robot, or has no robot, is its own.
-        let base =
-            wanted_base.filter(|&at| at <= top && self.mount(laser, ancestry[at]).is_some()).unwrap_or(0);
-        let (mount, mut upside_down) = self.mount(laser, ancestry[base]).unwrap_or((Pose::identity(), false));
+        let base = wanted_base
+            .filter(|&at| at <= top && self.mount(ancestry[0], ancestry[at]).is_some())
+            .unwrap_or(0);
+        let mounted = self.mount(ancestry[0], ancestry[base]).unwrap_or((Pose::identity(), false));
+        let (mount, mut upside_down) = (apart.is_none().then_some(mounted.0), mounted.1);
         let chain = &ancestry[base..=top];
         let moving =
             self.edges_between(chain).filter(|edge| !edge.is_static).max_by_key(|edge| edge.samples.len());
-        let stands_on_the_ground = ["map", "odom", "world", "earth"].contains(&ancestry[top]);
-        if moving.is_none() && fixed.is_none() && !stands_on_the_ground {
-            return Err(format!("no frame of the bag moves or is fixed to the ground; {}", there_are()));
+        if moving.is_none() && fixed.is_none() && !is_ground(ancestry[top]) {
+            let what = format!("no frame of the bag moves or is fixed to the ground; {}", there_are());
+            return Err(NoWay::Nowhere(what));
         }
         let at = |stamp_ns| self.compose(chain, stamp_ns);
         let standing = at(0).unwrap_or_else(Isometry3::identity);
@@ -278,17 +373,16 @@ mod tests {
             ("base_link", "mast", 0, [0.2, 0.0, 1.0], NONE, true),
             ("mast", "laser", 0, [0.0, 0.1, 0.0], LEFT, true),
         ]);
-        let way = frames.way("laser", None, None).unwrap();
+        let way = frames.way("laser", None, None, false).unwrap();
         assert_eq!((way.base.as_str(), way.fixed.as_str(), way.upside_down), ("base_link", "map", false));
-        assert_near(way.mount, pose(0.2, 0.1, FRAC_PI_2));
+        assert_near(way.mount.unwrap(), pose(0.2, 0.1, FRAC_PI_2));
         let poses = way.poses.unwrap();
         assert_eq!(poses.iter().map(|pose| pose.stamp_ns).collect::<Vec<_>>(), [0, 50, 100]);
         assert_near(poses[1].pose, pose(10.0, 0.5, FRAC_PI_2));
-        let way = frames.way("laser", None, Some("odom")).unwrap();
+        let way = frames.way("laser", None, Some("odom"), false).unwrap();
         assert_near(way.poses.unwrap()[2].pose, pose(1.0, 0.0, 0.0));
-        assert!(
-            frames.way("laser", None, Some("world")).err().unwrap().contains("laser <- mast <- base_link")
-        );
+        let Err(NoWay::NoFrame(what)) = frames.way("laser", None, Some("world"), false) else { panic!() };
+        assert!(what.contains("laser <- mast <- base_link"), "{what}");
     }
 
     #[test]
@@ -307,21 +401,48 @@ mod tests {
             ),
             ("base_link", "laser", 100, [0.0; 3], LEFT, false),
         ]);
-        let way = frames.way("laser", None, None).unwrap();
+        let way = frames.way("laser", None, None, false).unwrap();
         assert_eq!(way.base, "laser");
-        assert_near(way.mount, Pose::identity());
+        assert_near(way.mount.unwrap(), Pose::identity());
         assert_near(way.poses.unwrap()[1].pose, pose(1.0, 0.0, FRAC_PI_2 / 2.0));
     }
 
     #[test]
     fn a_standing_robot_and_one_that_is_nowhere() {
-        let standing =
-            frames(&[("map", "laser", 0, [1.0, 2.0, 3.0], ROLLED, true)]).way("laser", None, None).unwrap();
+        let standing = frames(&[("map", "laser", 0, [1.0, 2.0, 3.0], ROLLED, true)])
+            .way("laser", None, None, false)
+            .unwrap();
         assert!(standing.poses.is_none() && standing.upside_down);
         assert_near(standing.standing, pose(1.0, 2.0, 0.0));
         let nowhere = frames(&[("base_link", "laser", 0, [0.0; 3], NONE, true)]);
-        assert!(nowhere.way("laser", None, None).is_err());
-        assert!(Frames::default().way("laser", None, None).is_err());
+        assert!(nowhere.way("laser", None, None, false).is_err());
+        assert!(Frames::default().way("laser", None, None, false).is_err());
+    }
+
+    #[test]
+    fn a_scanner_that_no_transform_connects_with_the_robot() {
+        let apart = |robot| {
+            frames(&[
+                ("odom", robot, 0, [0.0; 3], NONE, false),
+                ("odom", robot, 100, [1.0, 0.0, 0.0], NONE, false),
+                ("mast", "laser", 0, [0.0; 3], NONE, true),
+            ])
+        };
+        for (robot, base) in [("base_link", None), ("chassis", None), ("cart", Some("/cart"))] {
+            let frames = apart(robot);
+            let Err(NoWay::NoMount(what)) = frames.way("laser", base, None, false) else { panic!("{robot}") };
+            for wanted in [&format!("{robot}, laser, mast, odom"), "--mount", "no transform", "match-ranges"]
+            {
+                assert!(what.contains(wanted), "{what}");
+            }
+            let way = frames.way("laser", base, None, true).unwrap();
+            assert_eq!((way.base.as_str(), way.fixed.as_str(), way.mount), (robot, "odom", None));
+            assert_near(way.poses.unwrap()[1].pose, pose(1.0, 0.0, 0.0));
+            assert!(matches!(frames.way("laser", base, Some("map"), true), Err(NoWay::NoFrame(_))));
+        }
+        // Wheels turn on the robot; that does not tell where it is.
+        let wheels = frames(&[("base_link", "wheel", 0, [0.0; 3], NONE, false)]);
+        assert!(matches!(wheels.way("laser", None, None, true), Err(NoWay::Nowhere(_))));
     }
 
     #[test]
@@ -333,6 +454,6 @@ mod tests {
             ("a", "c", 0, [0.0; 3], [0.0; 4], true),
         ]);
         assert_eq!(ring.bad, 2);
-        assert!(ring.way("b", None, None).is_err());
+        assert!(ring.way("b", None, None, false).is_err());
     }
 }

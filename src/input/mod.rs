@@ -25,7 +25,7 @@ use crate::mapper::PoseUse;
 use crate::pose::{Pose, StampedPose};
 use crate::scan::Scan;
 
-pub use poses::{PoseSource, parse_pose};
+pub use poses::{CHOICES, PoseSource, parse_pose};
 
 /// Takes what an input gives.
 pub trait Sink {
@@ -54,6 +54,8 @@ pub struct InputOptions {
     pub base_frame: Option<String>,
     /// The scanner in the robot's frame, where the input does not tell or tells it wrong.
     pub mount: Option<Pose>,
+    /// Whether the mapper's settings tell that where nothing else does.
+    pub mount_in_settings: bool,
     /// Model that a bare SCIP stream without an answer to PP came from; `None`: UTM-30LX.
     pub model: Option<String>,
 }
@@ -145,6 +147,14 @@ pub enum InputError {
     NoPoses {
         /// What was looked for.
         what: String,
+    },
+    /// Neither a file of poses nor a word.
+    #[error(
+        "there is no file of poses {}; --pose takes {CHOICES}", path.display()
+    )]
+    NoPoseFile {
+        /// What was taken for a file.
+        path: PathBuf,
     },
     /// A file of poses with a bad line.
     #[error("{}:{line}: {what}", path.display())]

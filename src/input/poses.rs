@@ -8,6 +8,10 @@ use crate::mapper::PoseUse;
 use crate::pose::{Pose, StampedPose, pose};
 use crate::scan::Scan;
 
+/// What [`PoseSource`] can be, for people.
+pub const CHOICES: &str =
+    "recorded, tf, odom, match, match-ranges, fixed, fixed:X,Y,YAW or a file of poses (TUM format)";
+
 /// Where a replay takes its poses from.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PoseSource {

@@ -11,10 +11,13 @@ use crate::pose::{StampedPose, pose};
 /// Poses of a file, in order of time.
 ///
 /// # Errors
-/// Where the file cannot be read, or a line is not eight numbers.
+/// Where the file is not there or cannot be read, or a line is not eight numbers.
 pub fn read(path: &Path) -> Result<Vec<StampedPose>, InputError> {
-    let text =
-        std::fs::read_to_string(path).map_err(|source| InputError::Io { path: path.to_owned(), source })?;
+    let text = std::fs::read_to_string(path).map_err(|source| match source.kind() {
+        // It may be a word that was mistyped.
+        std::io::ErrorKind::NotFound => InputError::NoPoseFile { path: path.to_owned() },
+        _ => InputError::Io { path: path.to_owned(), source },
+    })?;
     parse(&text).map_err(|(line, what)| InputError::Line { path: path.to_owned(), line, what })
 }
 

@@ -3,8 +3,8 @@
 
 use std::collections::{HashMap, VecDeque};
 
-use super::{Feeder, Progress, Replay, ReplayError, ReplayOptions, Tasks, settings};
-use crate::input::{self, InputReport, Sink};
+use super::{Feeder, Progress, Replay, ReplayError, ReplayOptions, Tasks, open, settings};
+use crate::input::{InputReport, Sink};
 use crate::localize::loops::{Drive, Loops};
 use crate::localize::points::Points;
 use crate::mapper::{Mapper, MapperSettings, Outcome, PoseUse, SkipReason};
@@ -27,7 +27,7 @@ pub(super) fn run(
     on_progress: &mut dyn FnMut(Progress),
 ) -> Result<Replay, ReplayError> {
     let mut report = InputReport::default();
-    let mut source = input::open(&options.inputs, &options.input, &mut report)?;
+    let mut source = open(options, &mut report)?;
     // Here loops are closed with all of the drive at hand.
     let settings = MapperSettings { close_loops: false, ..settings(options, source.as_ref())? };
     // Each pass is half of the work.
@@ -55,7 +55,7 @@ pub(super) fn run(
     }
 
     let mut report = InputReport::default();
-    let mut source = input::open(&options.inputs, &options.input, &mut report)?;
+    let mut source = open(options, &mut report)?;
     report.note(loops.to_string());
     let given = MapperSettings { poses: PoseUse::Map, ..settings.clone() };
     let mut placed = Placed {
