@@ -103,8 +103,8 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Poses: recorded, tf, odom, FILE.tum, fixed where the scanner stood still, fixed:X,Y,YAW (m, m, rad), match with
-    /// the input's odometry as a guide, or match-ranges without. Without it, what the input has, else match; a bag's odometry
-    /// drifts (the topic, and transforms from a frame odom): it is a guide, and taken for true by odom or tf only.
+    /// the input's odometry as a guide, or match-ranges without. Without it, what the input has, else match. A bag's
+    /// transforms are taken for true; of its odometry topic that is done by odom only, else it is a guide.
     #[arg(long, value_name = "SRC")]
     pub pose: Option<input::PoseSource>,
     /// Kind of the grid: visagge, paper, standard, visits or glints. Without it, that of the recording, or visagge.

@@ -221,6 +221,9 @@ fn replay_files(args: &ReplayArgs) -> Result<ExitCode, Failure> {
     for note in &replayed.input.notes {
         info!("{note}");
     }
+    for doubt in &replayed.input.doubts {
+        warn!("{doubt}");
+    }
     for damage in &replayed.input.damage {
         warn!("{}: not readable from byte {}: {}", damage.file.display(), damage.offset, damage.what);
     }

@@ -321,31 +321,33 @@ fn odometry_guides_and_is_taken_for_true_where_that_is_asked_for() {
         by_topic("odom")(bag, stamp);
     });
     for (name, source, is_true, told) in [
-        ("odom.mcap", None, false, "--pose tf would take it for true"),
+        ("odom.mcap", None, true, "in odom by tf"),
         ("odom.mcap", Some("match"), false, "in odom by tf"),
         ("odom.mcap", Some("tf"), true, "in odom by tf"),
-        ("names.mcap", None, false, "--pose tf would"),
+        ("names.mcap", None, true, "in robot1/odom_combined by tf"),
         ("hall.mcap", None, true, "in hall by tf"),
         ("wheels.mcap", None, false, "by /odometry; scanner laser. Odometry drifts; --pose odom would"),
         ("wheels.mcap", Some("odom"), true, "by /odometry"),
         ("filter.mcap", None, true, "by /odometry"),
-        ("both.mcap", None, false, "by /odometry"),
-        ("both.mcap", Some("tf"), true, "in odom by tf"),
+        ("both.mcap", None, true, "in odom by tf"),
+        ("both.mcap", Some("match"), false, "by /odometry"),
     ] {
         let (replay, outcomes) = run(&options(&[path(name)], source));
         let expected = if is_true { PoseUse::Map } else { PoseUse::Odometry };
         assert_eq!((replay.settings.poses, replay.input.poses), (expected, 3), "{name} {source:?}");
         assert!(replay.input.notes[0].contains(told), "{name} {source:?}: {:?}", replay.input.notes);
+        let is_doubtful = source.is_none() && told.contains(" by tf") && !told.contains("hall");
+        assert_eq!(replay.input.doubts.len(), usize::from(is_doubtful), "{name} {source:?}");
         if is_true {
             assert_near(&starts(&outcomes)[1], &pose(0.1, 0.0, 0.0));
         }
     }
-    // A frame that is named decides whose odometry it is, and does not make it true.
+    // A topic that is named is the guide.
     let mut named = options(&[path("both.mcap")], None);
-    named.input.fixed_frame = Some("odom".into());
+    named.input.odom_topic = Some("/odometry".into());
     let (replay, _) = run(&named);
     assert_eq!(replay.settings.poses, PoseUse::Odometry);
-    assert!(replay.input.notes[0].contains("in odom by tf"), "{:?}", replay.input.notes);
+    assert!(replay.input.notes[0].contains("by /odometry"), "{:?}", replay.input.notes);
 }
 
 #[test]
@@ -561,7 +563,7 @@ fn real_office_without_poses() {
 #[test]
 fn real_wheelchair_by_odometry() {
     let Some(path) = data("real/smartwheeler.mcap") else { return };
-    for (source, least) in [(None, 860), (Some("tf"), 870), (Some("odom"), 870)] {
+    for (source, least) in [(None, 870), (Some("match"), 860), (Some("odom"), 870)] {
         let mut options = options(std::slice::from_ref(&path), source);
         options.ignore_beams = vec![[0, 52], [587, 666], [764, 767]];
         let (replay, outcomes) = run(&options);

@@ -1,8 +1,8 @@
 //! A ROS 2 bag in MCAP from anyone: LaserScan messages placed by transforms or odometry.
 //!
 //! The poses are read first, in a pass of their own, and given to the mapper just before the scans that need them.
-//! Poses in a frame such as `map` are true; those of odometry drift (REP-105) and guide the matching, where nobody asks
-//! for them as they are.
+//! Transforms are taken for true, with a warning where they are in an odometry's frame, which may drift (REP-105). A topic of
+//! odometry guides the matching, where nobody asks for it as it is.
 //!
 //! Ranges: `NaN` and what is below range_min tell nothing (drivers put error codes and masks there), `+inf` and what
 //! is range_max or more is no return (many drivers and simulators say range_max for it), `-inf` is too near (REP-117).
@@ -211,11 +211,11 @@ impl Survey {
         }
     }
 
-    /// Poses that are true, else matching with what odometry there is.
+    /// What the robot's own software holds for true, else matching with what odometry there is.
     fn by_what_there_is(&self, laser: &str, options: &InputOptions) -> Result<Placement, InputError> {
         let is_true = |placement: &Placement| placement.drifts.is_none();
         if options.odom_topic.is_none()
-            && let Some(placement) = self.by_tf(laser, options).ok().filter(is_true)
+            && let Ok(placement) = self.by_tf(laser, options)
         {
             return Ok(placement);
         }
@@ -342,6 +342,9 @@ impl Bag {
         let (scan_topic, scans) = survey.scans(options)?;
         let placement = survey.poses(options)?;
         report.note(&placement.note);
+        if placement.drifts.is_some() && placement.pose_use == PoseUse::Map && options.pose.is_none() {
+            report.doubt("these poses are taken for true; those of wheels drift, and are but a guide with --pose match");
+        }
         let bytes = report.bytes;
         Ok(Self {
             files,

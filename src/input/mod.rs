@@ -94,11 +94,17 @@ pub struct InputReport {
     pub damage: Vec<Damage>,
     /// What was assumed or left out, for people.
     pub notes: Vec<String>,
+    /// What of that is likely to be wrong.
+    pub doubts: Vec<String>,
 }
 
 impl InputReport {
     fn error(&mut self, kind: &str) {
         *self.decode_errors.entry(kind.to_owned()).or_default() += 1;
+    }
+
+    fn doubt(&mut self, doubt: impl Into<String>) {
+        self.doubts.push(doubt.into());
     }
 
     pub(crate) fn note(&mut self, note: impl Into<String>) {
