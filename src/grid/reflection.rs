@@ -48,8 +48,9 @@ const WIDEST: f64 = 0.3;
 /// An original that is seen from some directions only is seen up to this far off those from which it was (rad): 6 degrees, by which
 /// an image is off at 3 m from where it is sought.
 const OFF_VIEW: f64 = 0.1;
-/// A wall hides what is behind it if it does so this far to both sides of the line of sight as well (m): past its ends errors of poses decide.
-const ASIDE: f64 = 0.1;
+/// A wall hides what is behind it if it does so this far to both sides of the line of sight as well, step by step (m): past its ends and
+/// through its gaps errors of poses decide.
+const ASIDE: [f64; 5] = [0.0, 0.05, -0.05, 0.1, -0.1];
 
 /// How often images are sought. In the first rounds among surfaces only, in the last one among all cells; each time those that were found to
 /// be images in the round before reflect nothing. What the first takes away too much, by surfaces that are images, the second gives
@@ -369,7 +370,7 @@ fn glass_reflects(incidence: f64) -> f64 {
 fn is_behind_wall(grid: &Visagge, sight: &Sight, crossed: &mut Lookup) -> bool {
     let [x, y] = [0, 1].map(|axis| (sight.to[axis] - sight.from[axis]) / sight.range);
     grid.settings.has(Idea::Walls)
-        && [0.0, ASIDE, -ASIDE].into_iter().all(|aside| {
+        && ASIDE.into_iter().all(|aside| {
             let beside = |[at_x, at_y]: [f64; 2]| [at_x - y * aside, at_y + x * aside];
             let sight = Sight { from: beside(sight.from), to: beside(sight.to), ..*sight };
             follow(grid, &sight, crossed, |evidence| Some(&evidence.walls), |_, _, _, _| true)

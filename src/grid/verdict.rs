@@ -219,9 +219,10 @@ fn is_gone(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> bool
 }
 
 /// Whether nothing is seen through the cell, which is solid: it was not crossed before it was first seen, and it is seen from so many
-/// directions that it is no glass with nothing behind.
+/// directions that it is no glass with nothing behind. It may have been missed over a few: an image behind it misses it.
 pub(super) fn is_wall(cell: &Cell) -> bool {
-    !cell.returns.was_crossed && u32::from(cell.visible.range.width) >= units(WIDE)
+    let [visible, missed] = [cell.visible.range, cell.missed].map(|range| u32::from(range.width));
+    !cell.returns.was_crossed && visible >= units(WIDE).max(4 * missed)
 }
 
 /// `has_come`: with all around it, and it may go again.
