@@ -11,7 +11,7 @@ use visagged::localize::Reference;
 /// Where in a drive the robot is switched on (s): as it stands, and at full speed.
 const STARTS: [f64; 2] = [0.0, 10.0];
 /// Robots that are put down in each map, and how long each may take (s).
-const PUT_DOWN: (u32, f64) = (20, 45.0);
+const PUT_DOWN: (u32, f64) = (20, 60.0);
 
 const NO_TROUBLE: Trouble =
     Trouble { lost_scans: 0.0, random_returns: 0.0, bent: 0.0, half_odometry: false, slip: false, skip: 0.0 };
