@@ -5,6 +5,9 @@
 //! that are mapped already; this looks back, since an image is often mapped before its mirror is, which is seen only near
 //! its normal).
 //!
+//! Where the mirror is not mapped, or not well enough, a wall may tell as much: what is seen through one that has always stood there is an
+//! image of something, wherever that is.
+//!
 //! An image reflects nothing: what is shown behind a mirror looks like a surface itself, which what stands there would be seen in. So
 //! the surfaces are judged first, [round](ROUNDS) by round.
 

@@ -5,8 +5,9 @@
 //! ever missed is solid. What was missed must be explained as a surface that is visible near its normal
 //! only: the neighbouring cells must form a flat patch whose normal is the direction from which they were
 //! seen, with nothing else seen from there right before or behind it (paper IV-C gives the reason, and a
-//! weaker test). What was solid and is missed to the end has been taken away. What is the image of something else in a mapped surface is
-//! not there at all. And of what is left, a surface is drawn one cell thick.
+//! weaker test). What was solid and is missed to the end has been taken away; what has come as a whole and is no larger than a person
+//! may be one who waits. What is the image of something else in a mapped surface, or is seen through a wall, is not there at all. And of
+//! what is left, a surface is drawn one cell thick.
 //!
 //! [`Idea`] names these and the further ones, each of which can be left out to see what it is worth.
 
