@@ -602,7 +602,7 @@ mod tests {
     use super::*;
     use crate::grid::{
         cell::Returns,
-        track::{Sector, Track, distance_units},
+        track::{LANES, Sector, Track, distance_units},
         verdict::Verdict,
         visagge::VisaggeSettings,
     };
@@ -620,36 +620,55 @@ mod tests {
 
     const CELL: f64 = 0.05;
 
-    /// What is judged of the cell at each of these points (m).
-    fn verdicts<const N: usize>(rows: &[Row], points: [[f64; 2]; N]) -> [Verdict; N] {
-        let mut grid = Visagge::new(CELL, VisaggeSettings::default());
-        for Row { x, y, bearings, range: seen, is_missed } in rows {
-            let cells = (x[1] - x[0]) / CELL;
-            for number in 0..cells.round() as i32 {
-                let (place, column, row) =
-                    CellIndex::of(x[0] + (f64::from(number) + 0.5) * CELL, *y, CELL).split();
-                let mut returns = Returns::new([column as u8, row as u8], *is_missed);
-                (returns.occupancy, returns.hits) = (9, 9);
-                let from = |degrees: f64| Angle::from_rad(degrees.to_radians());
-                let width = units((bearings[1] - bearings[0]).to_radians()) as u16;
-                let range = AngleRange { start: from(bearings[0]), width };
-                let missed = AngleRange { start: from(bearings[1]), width: units(0.5) as u16 };
-                let track = Track {
-                    visible: Sector { range, ends: [distance_units(*seen); 2] },
-                    missed: if *is_missed { missed } else { AngleRange::default() },
-                    ..Track::default()
-                };
-                let number = grid.tiles.find_or_make(place);
-                let evidence = grid.tiles.at_mut(number).evidence.get_or_insert_default();
-                evidence.fill([(returns, track)].into_iter());
+    /// Puts the cells of a row in, or has them observed in another way.
+    fn draw(grid: &mut Visagge, Row { x, y, bearings, range: seen, is_missed }: &Row) {
+        let cells = (x[1] - x[0]) / CELL;
+        for number in 0..cells.round() as i32 {
+            let (place, column, row) =
+                CellIndex::of(x[0] + (f64::from(number) + 0.5) * CELL, *y, CELL).split();
+            let mut returns = Returns::new([column as u8, row as u8], *is_missed);
+            (returns.occupancy, returns.hits) = (9, 9);
+            let from = |degrees: f64| Angle::from_rad(degrees.to_radians());
+            let width = units((bearings[1] - bearings[0]).to_radians()) as u16;
+            let range = AngleRange { start: from(bearings[0]), width };
+            let missed = AngleRange { start: from(bearings[1]), width: units(0.5) as u16 };
+            let track = Track {
+                visible: Sector { range, ends: [distance_units(*seen); 2] },
+                missed: if *is_missed { missed } else { AngleRange::default() },
+                ..Track::default()
+            };
+            let tile = grid.tiles.find_or_make(place);
+            let evidence = grid.tiles.at_mut(tile).evidence.get_or_insert_default();
+            let place = place_of(returns.place);
+            match evidence.slots.get(place) {
+                Some(number) => {
+                    let block = &mut evidence.cells.blocks[number / LANES];
+                    block.set(number % LANES, Track { place, ..track });
+                    evidence.is_touched = true;
+                }
+                None => evidence.fill([(returns, track)].into_iter()),
             }
         }
+    }
+
+    /// What is judged of the cell at this point (m).
+    fn verdict(grid: &mut Visagge, [x, y]: [f64; 2]) -> Verdict {
         grid.decide();
-        points.map(|[x, y]| {
-            let (place, column, row) = CellIndex::of(x, y, CELL).split();
-            let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
-            evidence.and_then(|evidence| evidence.at(column, row)).expect("it was drawn").1.verdict
-        })
+        let (place, column, row) = CellIndex::of(x, y, CELL).split();
+        let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
+        evidence.and_then(|evidence| evidence.at(column, row)).expect("it was drawn").1.verdict
+    }
+
+    fn drawn(rows: &[Row]) -> Visagge {
+        let mut grid = Visagge::new(CELL, VisaggeSettings::default());
+        rows.iter().for_each(|row| draw(&mut grid, row));
+        grid
+    }
+
+    /// What is judged of the cell at each of these points (m).
+    fn verdicts<const N: usize>(rows: &[Row], points: [[f64; 2]; N]) -> [Verdict; N] {
+        let mut grid = drawn(rows);
+        points.map(|point| verdict(&mut grid, point))
     }
 
     /// A mirror, seen head on from y = 0, what stands before it, and the image of that.
@@ -706,6 +725,24 @@ mod tests {
         assert_eq!(seen(wall([-100.0, -80.0], false), 1.85), Verdict::Solid, "just past its end");
         assert_eq!(seen(wall([-92.0, -88.0], false), 1.0), Verdict::Solid, "it may be glass");
         assert_eq!(seen(wall([-100.0, -80.0], true), 1.0), Verdict::Solid, "a door that was open before");
+    }
+
+    #[test]
+    fn what_another_tile_has_become_is_taken_into_account() {
+        let wall = |bearings| Row { x: [0.0, 2.0], y: 1.01, bearings, range: 1.0, is_missed: false };
+        let behind = Row { x: [1.0, 1.2], y: 3.61, bearings: [-91.0, -89.0], range: 3.6, is_missed: false };
+        let mut grid = drawn(&[wall([-92.0, -88.0]), behind]);
+        assert_eq!(verdict(&mut grid, [1.06, 3.61]), Verdict::Solid);
+        draw(&mut grid, &wall([-100.0, -80.0]));
+        assert_eq!(verdict(&mut grid, [1.06, 3.61]), Verdict::Image, "it is a wall now");
+
+        let at = |y: f64, row: &Row| Row { y, range: y as f32, ..row.clone() };
+        let [mirror, original, image] = mirror();
+        let original = |bearings| Row { bearings, is_missed: true, ..at(3.01, &original) };
+        let mut grid = drawn(&[at(3.61, &mirror), original([-91.0, -89.0]), at(4.21, &image)]);
+        assert_eq!(verdict(&mut grid, [1.01, 4.21]), Verdict::Surface);
+        draw(&mut grid, &original([89.0, 91.0]));
+        assert_eq!(verdict(&mut grid, [1.01, 4.21]), Verdict::Image, "it is seen from the mirror now");
     }
 
     #[test]
