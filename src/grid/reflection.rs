@@ -283,13 +283,9 @@ pub(super) fn image(
         for part in OBSERVERS {
             let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
             let sight = Sight { from: [point[0] + x, point[1] + y], to: point, range: x.hypot(y), round };
-            let explained = match explained(grid, &sight, lookups) {
-                Image::Yes => Image::Yes,
-                _ if is_behind_wall(grid, &sight, &mut lookups.crossed) => Image::Yes,
-                other => other,
-            };
-            match explained {
+            match explained(grid, &sight, lookups) {
                 Image::Yes => (),
+                _ if is_behind_wall(grid, &sight, &mut lookups.crossed) => (),
                 Image::IfOpaque(block) => image = Image::IfOpaque(block),
                 other => {
                     unexplained += 1;
