@@ -337,10 +337,13 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
             return false;
         }
         let to_sensor = distance_to(sensor);
-        let [x, y] = line.mirror(sensor);
-        let seen_from = Angle::from_rad((y - mirrored[1]).atan2(x - mirrored[0]));
-        let explains =
-            to_sensor <= BODY + tolerance || grid.has_original(mirrored, seen_from, tolerance, sought);
+        // Where the original would be seen from.
+        let image_of_sensor = || {
+            let [x, y] = line.mirror(sensor);
+            Angle::from_rad((y - mirrored[1]).atan2(x - mirrored[0]))
+        };
+        let explains = to_sensor <= BODY + tolerance
+            || grid.has_original(mirrored, image_of_sensor(), tolerance, sought);
         let by_glass =
             || range <= SEES * glass_reflects(line.off_normal(bearing)) || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {

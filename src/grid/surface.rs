@@ -195,9 +195,7 @@ impl Window {
     /// `same_view` (units of [`Angle`]): the patch of 0.8 m, or more of it along the line as far as it stays flat. `reach` takes in
     /// all cells that this depends on.
     pub fn surface(&self, index: CellIndex, cell: &Cell, same_view: u32, reach: &mut Reach) -> Option<Line> {
-        let [x, y] = self.inside(index);
-        reach.extend([x - PATCH, y - PATCH]);
-        reach.extend([x + PATCH, y + PATCH]);
+        self.reach_patch(index, reach);
         let origin = cell.returns_at(index, self.resolution);
         let seen_from = cell.visible.range.middle();
         let (sin, cos) = seen_from.rad().sin_cos();
@@ -220,9 +218,7 @@ impl Window {
     /// Whether a cell has come with all that is around it: nearly nothing there had stood before a beam crossed it. Single cells of what
     /// stands are crossed by errors of poses.
     pub fn has_come(&self, index: CellIndex, cell: &Cell, reach: &mut Reach) -> bool {
-        let [x, y] = self.inside(index);
-        reach.extend([x - PATCH, y - PATCH]);
-        reach.extend([x + PATCH, y + PATCH]);
+        self.reach_patch(index, reach);
         let origin = cell.returns_at(index, self.resolution);
         let (mut came, mut all) = (0.0, 0.0);
         self.near(index, Angle(0), u32::MAX, |neighbour| {
@@ -302,6 +298,13 @@ impl Window {
             }
         }
         moments.line(origin)
+    }
+
+    /// Takes in all cells that [`Window::near`] visits.
+    fn reach_patch(&self, index: CellIndex, reach: &mut Reach) {
+        let [x, y] = self.inside(index);
+        reach.extend([x - PATCH, y - PATCH]);
+        reach.extend([x + PATCH, y + PATCH]);
     }
 
     /// Column and row in the window.
