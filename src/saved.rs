@@ -17,7 +17,7 @@ use crate::mapper::{MapperKind, MapperSettings};
 /// First bytes of the file.
 const MAGIC: [u8; 8] = *b"VISAGGE\n";
 /// Version of the format; grows whenever [`SavedMap`] changes.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 /// Length of all before the zstd frame: magic 8, version 4, length of the content 8, CRC-32 of all other bytes 4.
 pub const HEADER: usize = 24;
 /// No content is longer (bytes): a grid of a square kilometre with evidence in every tenth cell.
@@ -330,6 +330,7 @@ mod tests {
             place: [column, 5],
             occupancy: 7,
             passes: 1,
+            glints: 2,
             hits: 300,
             was_crossed: true,
             hit_scan: 70_000,

@@ -69,6 +69,8 @@ pub struct Returns {
     pub occupancy: u8,
     /// How often it was seen again from angles known before, after having been missed in between.
     pub passes: u8,
+    /// Scans with a glint in it ([`super::glints`]).
+    pub glints: u8,
     /// Scans with a return in it.
     pub hits: u16,
     /// Whether a beam had crossed it before the first return came: it was not there, or not visible.
@@ -88,6 +90,7 @@ impl Returns {
             place,
             occupancy: 0,
             passes: 0,
+            glints: 0,
             hits: 0,
             was_crossed,
             hit_scan: 0,
@@ -101,8 +104,13 @@ impl Returns {
         tile.cell(usize::from(self.place[0]), usize::from(self.place[1]))
     }
 
-    /// Core step 1: a return at this place in the cell (cells, 0..1).
-    pub fn record_hit(&mut self, at: [f32; 2], scan: u32, time: f32, rule: &Rule) {
+    /// Whether it has glinted: more than once, since now and then a random reading is bright.
+    pub fn has_glinted(&self) -> bool {
+        self.glints >= 2
+    }
+
+    /// Core step 1: a return, which may be a glint, at this place in the cell (cells, 0..1).
+    pub fn record_hit(&mut self, at: [f32; 2], is_glint: bool, scan: u32, time: f32, rule: &Rule) {
         if self.hits == 0 {
             self.hit_time[0] = time;
         }
@@ -112,6 +120,7 @@ impl Returns {
         self.hit_scan = scan;
         self.occupancy = (self.occupancy + u8::from(is_first)).min(rule.cap);
         self.hits = self.hits.saturating_add(u16::from(is_first));
+        self.glints = self.glints.saturating_add(u8::from(is_glint && is_first));
         let weight = 1.0 / f32::from(self.hits.min(255));
         for (mean, at) in self.centroid.iter_mut().zip(at) {
             *mean += (at - *mean) * weight;
@@ -178,8 +187,8 @@ impl Cell {
         let counts = u32::from_le_bytes([
             returns.occupancy,
             returns.passes,
-            u8::from(*seen_again),
-            u8::from(visible_too.way >= 0.0),
+            returns.glints,
+            u8::from(*seen_again) | u8::from(visible_too.way >= 0.0) << 1,
         ]);
         let words = [
             floats(returns.centroid),

@@ -3,6 +3,7 @@
 use super::{
     cell::{Cell, Returns},
     track::{Block, LANES, Track},
+    verdict::is_wall,
     view::HIT,
 };
 
@@ -46,6 +47,11 @@ impl Cells {
     pub fn hit(&mut self, number: usize) -> &mut Returns {
         self.blocks[number / LANES].place[number % LANES] |= HIT;
         &mut self.returns[number]
+    }
+
+    /// Whether a cell is a wall's ([`is_wall`]).
+    pub fn is_wall(&self, number: usize) -> bool {
+        is_wall(&self.returns[number], self.blocks[number / LANES].widths(number % LANES))
     }
 
     /// The view angles of a cell.

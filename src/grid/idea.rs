@@ -36,13 +36,15 @@ pub enum Idea {
     Originals,
     /// Whatever is seen behind a wall that has always stood there is an image.
     Walls,
+    /// What has returned glints, brighter than anything diffuse, is a surface seen about its normal; needs intensities.
+    Glints,
     /// Surfaces are drawn one cell thick.
     Thin,
 }
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 16] = [
+    pub const ALL: [Idea; 17] = [
         Idea::Newcomers,
         Idea::Visitors,
         Idea::TakenAway,
@@ -58,6 +60,7 @@ impl Idea {
         Idea::SecondRange,
         Idea::Originals,
         Idea::Walls,
+        Idea::Glints,
         Idea::Thin,
     ];
 }

@@ -19,7 +19,7 @@ use super::{
     squares::{CellsAround, CellsBySquare, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
-    verdict::{Verdict, is_in_gap, is_wall},
+    verdict::{Verdict, is_in_gap},
     view::Place,
     visagge::{Evidence, Tile, Visagge, place_of},
 };
@@ -338,9 +338,8 @@ impl Evidence {
             judgement.bridged = bridged;
         }
         let shown = self.rows(|number| self.judgements[number].bridged.is_shown());
-        let walls = self.rows(|number| {
-            self.judgements[number].bridged == Verdict::Solid && is_wall(&self.cells.get(number))
-        });
+        let walls = self
+            .rows(|number| self.judgements[number].bridged == Verdict::Solid && self.cells.is_wall(number));
         let walls = CellsBySquare::from(walls);
         (change.shown, change.walls) = (shown != self.shown, walls != self.walls);
         change.judged = true;

@@ -51,6 +51,9 @@ const WIDEST: f64 = 0.3;
 /// An original that is seen from some directions only is seen up to this far off those from which it was (rad): 6 degrees, by which
 /// an image is off at 3 m from where it is sought.
 const OFF_VIEW: f64 = 0.1;
+/// Share that a surface must reflect for a glint to be one in it still, on the way there and on the way back: a quarter is left. Glass does at
+/// 78 degrees of incidence.
+const OF_GLINTS: f64 = 0.5;
 /// A wall hides what is behind it if it does so this far to both sides of the line of sight as well, step by step (m): past its ends and
 /// through its gaps errors of poses decide.
 const ASIDE: [f64; 5] = [0.0, 0.05, -0.05, 0.1, -0.1];
@@ -276,13 +279,15 @@ pub(super) fn image(
     let too = Some(&cell.visible_too).filter(|too| {
         too.way >= 0.0 && too.range.width_rad() >= TELLING && grid.settings.has(Idea::SecondRange)
     });
+    let has_glinted = cell.returns.has_glinted();
     let mut image = Image::Yes;
     for visible in [Some(&cell.visible), too].into_iter().flatten() {
         let mut unexplained = 0;
         let [from, to] = visible.ends();
         for part in OBSERVERS {
             let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
-            let sight = Sight { from: [point[0] + x, point[1] + y], to: point, range: x.hypot(y), round };
+            let from = [point[0] + x, point[1] + y];
+            let sight = Sight { from, to: point, range: x.hypot(y), round, has_glinted };
             match explained(grid, &sight, lookups) {
                 Image::Yes => (),
                 _ if is_behind_wall(grid, &sight, &mut lookups.crossed) => (),
@@ -290,7 +295,8 @@ pub(super) fn image(
                 other => {
                     unexplained += 1;
                     if unexplained > GAPS {
-                        return other;
+                        // Nor do glints move on.
+                        return if has_glinted { Image::No } else { other };
                     }
                 }
             }
@@ -309,6 +315,8 @@ struct Sight {
     range: f64,
     /// The round, which tells what reflects.
     round: usize,
+    /// Whether the cell has glints.
+    has_glinted: bool,
 }
 
 /// Whether a surface on the line of sight shows at its end what is elsewhere.
@@ -344,8 +352,9 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
         };
         let explains = to_sensor <= BODY + tolerance
             || grid.has_original(mirrored, image_of_sensor(), tolerance, sought);
+        let needed = (range / SEES).max(if sight.has_glinted { OF_GLINTS } else { 0.0 });
         let by_glass =
-            || range <= SEES * glass_reflects(line.off_normal(bearing)) || !grid.settings.has(Idea::Fresnel);
+            || needed <= glass_reflects(line.off_normal(bearing)) || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
             (true, _) if by_glass() => Image::Yes,
             (true, _) => Image::IfOpaque(block),
@@ -712,6 +721,31 @@ mod tests {
         };
         assert_eq!(seen_from([89.0, 91.0]), Verdict::Image, "from where the mirror is");
         assert_eq!(seen_from([-91.0, -89.0]), Verdict::Surface);
+    }
+
+    #[test]
+    fn what_glints_behind_glass_is_no_image_in_it() {
+        // As near as glass reflects what is ahead.
+        let at = |y: f64, row: &Row| Row { y, range: y as f32, ..row.clone() };
+        let [mirror, original, image] = mirror();
+        let found = |rows: &[Row], glints: u8| {
+            let mut grid = drawn(rows);
+            grid.decide();
+            let (place, column, row) = CellIndex::of(1.01, 2.31, CELL).split();
+            let evidence =
+                grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref()).expect("it was drawn");
+            let number = evidence.slots.get(place_of([column as u8, row as u8])).expect("it was drawn");
+            let mut cell = evidence.cells.get(number);
+            cell.returns.glints = glints;
+            super::image(&grid, place, &cell, ROUNDS - 1, &mut Lookups::default())
+        };
+        let rows = [at(1.61, &mirror), at(0.91, &original), at(2.31, &image)];
+        assert_eq!(found(&rows, 0), Image::Yes);
+        assert_eq!(found(&rows, 1), Image::Yes, "a random reading");
+        assert!(matches!(found(&rows, 2), Image::IfOpaque(_)), "a mirror shows glints too");
+        let without_original = [rows[0].clone(), rows[2].clone()];
+        assert!(matches!(found(&without_original, 0), Image::Unknown(_)));
+        assert_eq!(found(&without_original, 2), Image::No);
     }
 
     #[test]

@@ -67,6 +67,7 @@ pub struct SavedCell {
     pub place: [u8; 2],
     pub occupancy: u8,
     pub passes: u8,
+    pub glints: u8,
     pub hits: u16,
     pub was_crossed: bool,
     pub hit_scan: u32,
@@ -125,6 +126,7 @@ impl SavedCell {
             place: cell.place,
             occupancy: cell.occupancy,
             passes: cell.passes,
+            glints: cell.glints,
             hits: cell.hits,
             was_crossed: cell.was_crossed,
             hit_scan: cell.hit_scan,
@@ -141,6 +143,7 @@ impl SavedCell {
         let mut cell = Returns::new(self.place, self.was_crossed);
         cell.occupancy = self.occupancy;
         cell.passes = self.passes;
+        cell.glints = self.glints;
         cell.hits = self.hits;
         cell.hit_scan = self.hit_scan;
         cell.centroid = self.centroid;

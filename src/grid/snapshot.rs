@@ -102,7 +102,8 @@ impl Visagge {
             map.occupancy[frame.place(first)..][..count].fill(0);
         }
         let mut cells = Vec::new();
-        let mut bytes = ["occupancy_count", "passes", "verdict", "image"].map(|name| (name, Vec::new()));
+        let mut bytes =
+            ["occupancy_count", "passes", "glints", "verdict", "image"].map(|name| (name, Vec::new()));
         let mut words = [
             "hits",
             "visible_start",
@@ -123,6 +124,7 @@ impl Visagge {
             for ((_, layer), value) in bytes.iter_mut().zip([
                 cell.returns.occupancy,
                 cell.returns.passes,
+                cell.returns.glints,
                 judgement.verdict as u8,
                 judgement.images[ROUNDS - 1].number(),
             ]) {

@@ -296,6 +296,11 @@ impl Block {
         would_return([self.visible.ends[0][lane], self.visible.ends[1][lane]], range)
     }
 
+    /// How wide the range is that one cell is visible from, and that it was missed from.
+    pub fn widths(&self, lane: usize) -> [u16; 2] {
+        [self.visible.width[lane], self.missed_width[lane]]
+    }
+
     /// Puts one cell's part in.
     pub fn set(&mut self, lane: usize, track: Track) {
         self.place[lane] = track.place;

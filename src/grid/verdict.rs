@@ -5,7 +5,7 @@
 //! ever missed is solid. What was missed must be explained as a surface that is visible near its normal
 //! only: the neighbouring cells must form a flat patch whose normal is the direction from which they were
 //! seen, with nothing else seen from there right before or behind it (paper IV-C gives the reason, and a
-//! weaker test). What was solid and is missed to the end has been taken away; what has come as a whole and is no larger than a person
+//! weaker test); or they have glinted, where the scanner tells intensities. What was solid and is missed to the end has been taken away; what has come as a whole and is no larger than a person
 //! may be one who waits. What is the image of something else in a mapped surface, or is seen through a wall, is not there at all. And of
 //! what is left, a surface is drawn one cell thick.
 //!
@@ -13,7 +13,7 @@
 
 use super::{
     angle::units,
-    cell::Cell,
+    cell::{Cell, Returns},
     idea::Idea,
     judge::{Judgement, Shape},
     mirrors::Mirror,
@@ -210,6 +210,14 @@ fn explains(line: &Line, cell: &Cell, settings: &VisaggeSettings) -> bool {
         && beyond <= most_beyond
 }
 
+/// Whether the cell is of a surface that was seen about its normal, by its glints alone. What was solid, or was seen over more than
+/// dust shows of glass, would have been seen from where it was missed as well.
+fn glints(cell: &Cell, settings: &VisaggeSettings) -> bool {
+    cell.returns.has_glinted()
+        && !is_solid(cell, settings)
+        && cell.visible.range.width_rad() <= 2.0 * OFF_LONG[0]
+}
+
 /// Whether the cell was missed to the end, and not for being looked at along the surface through it.
 fn is_gone(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> bool {
     let is_grazing = line.is_some_and(|line| line.off_normal(cell.missed.middle().rad()) > GRAZING);
@@ -221,9 +229,10 @@ fn is_gone(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> bool
 
 /// Whether nothing is seen through the cell, which is solid: it was not crossed before it was first seen, and it is seen from so many
 /// directions that it is no glass with nothing behind. It may have been missed over a few: an image behind it misses it.
-pub(super) fn is_wall(cell: &Cell) -> bool {
-    let [visible, missed] = [cell.visible.range, cell.missed].map(|range| u32::from(range.width));
-    !cell.returns.was_crossed && visible >= units(WIDE).max(4 * missed)
+///
+/// `visible` and `missed` are the widths of its ranges.
+pub(super) fn is_wall(returns: &Returns, [visible, missed]: [u16; 2]) -> bool {
+    !returns.was_crossed && u32::from(visible) >= units(WIDE).max(4 * u32::from(missed))
 }
 
 /// `has_come`: with all around it, and it may go again.
@@ -238,7 +247,7 @@ fn shape(cell: &Cell, line: Option<&Line>, has_come: bool, settings: &VisaggeSet
     if cell.returns.passes > 0 {
         return Verdict::Repeated;
     }
-    let is_explained = line.is_some_and(|line| explains(line, cell, settings));
+    let is_explained = line.is_some_and(|line| explains(line, cell, settings)) || glints(cell, settings);
     if is_explained || !settings.has(Idea::Surfaces) { Verdict::Surface } else { Verdict::NoSurface }
 }
 
@@ -247,7 +256,6 @@ mod tests {
     use super::*;
     use crate::grid::{
         angle::{Angle, AngleRange},
-        cell::Returns,
         tiles::TileIndex,
         track::{Sector, Track},
         visagge::VisaggeSettings,
@@ -294,6 +302,22 @@ mod tests {
         assert_eq!(missed(-50.0, false), Verdict::NoSurface);
         assert_eq!(missed(-50.0, true), Verdict::Solid);
         assert_eq!(missed(-85.0, false), Verdict::Solid, "along its face");
+    }
+
+    #[test]
+    fn what_glints_is_seen_about_its_normal_unless_it_is_seen_from_all_around() {
+        let judged = |degrees: f64, glints: u8| {
+            let mut cell = Cell::of(&Returns::new([0, 0], true), &Track::default());
+            (cell.returns.occupancy, cell.returns.glints) = (2, glints);
+            let wide = |degrees: f64| units(degrees.to_radians()) as u16;
+            cell.visible.range = AngleRange { start: Angle(0), width: wide(degrees) };
+            cell.missed = AngleRange { start: Angle(wide(degrees)), width: wide(40.0) };
+            shape(&cell, None, false, &VisaggeSettings::default())
+        };
+        assert_eq!(judged(2.0, 0), Verdict::NoSurface);
+        assert_eq!(judged(2.0, 1), Verdict::NoSurface, "a random reading");
+        assert_eq!(judged(2.0, 2), Verdict::Surface);
+        assert_eq!(judged(60.0, 2), Verdict::NoSurface, "a box of polished metal that was taken away");
     }
 
     #[test]

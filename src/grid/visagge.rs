@@ -8,6 +8,7 @@ use super::{
     cell::{Cell, Returns, Rule},
     cells::{self, Cells},
     free::Outline,
+    glints::Glints,
     idea::Idea,
     judge::Judgement,
     lanes::{self, Path, Sights},
@@ -306,6 +307,9 @@ pub struct Visagge {
     points: [Vec<f32>; 2],
     /// The cell in which each return landed, relative to that of the rays' base; [`NOWHERE`] without one.
     landed: Vec<CellIndex>,
+    glints: Glints,
+    /// Whether each beam brought one; empty as long as nothing is known of them.
+    are_glints: Vec<bool>,
     outline: Outline,
     near: Near,
     turns: Turns,
@@ -339,6 +343,8 @@ impl Visagge {
             distances: Vec::new(),
             points: Default::default(),
             landed: Vec::new(),
+            glints: Glints::default(),
+            are_glints: Vec::new(),
             outline: Outline::default(),
             near: Near::default(),
             turns: Turns::default(),
@@ -419,8 +425,20 @@ impl Visagge {
     /// Core step 1: where a return lands, the cell is more likely to be occupied.
     #[inline(always)]
     fn record_hits(&mut self, sweep: &Sweep, rule: &Rule) {
-        let Visagge { tiles, was_hit, rays, distances, points, landed, .. } = self;
-        let far = self.settings.range_max as f32;
+        let Visagge {
+            tiles,
+            was_hit,
+            rays,
+            distances,
+            points,
+            landed,
+            glints,
+            are_glints,
+            turns,
+            settings,
+            ..
+        } = self;
+        let far = settings.range_max as f32;
         distances.clear();
         distances.extend(
             sweep.scan.ranges.iter().map(|&range| if range > 0.0 && range <= far { range } else { 0.0 }),
@@ -431,6 +449,14 @@ impl Visagge {
             let index = CellIndex { x: floor(x), y: floor(y) };
             if range > 0.0 { index } else { NOWHERE }
         }));
+        let intensities = if settings.has(Idea::Glints) { &*sweep.scan.intensities } else { &[] };
+        are_glints.clear();
+        let have_intensities = intensities.len() == distances.len();
+        if glints.are_known() && have_intensities {
+            let beams = distances.iter().zip(intensities);
+            are_glints.extend(beams.map(|(&range, &intensity)| glints.are(range, intensity)));
+        }
+        let learns = have_intensities && turns.are_of(TileIndex { x: 0, y: 0 });
         let base = rays.base();
         let mut recent = (TileIndex { x: i32::MAX, y: i32::MAX }, 0);
         let mut beam = 0;
@@ -462,8 +488,15 @@ impl Visagge {
             let mean = |axis: usize, cell: i32| {
                 points[axis][first..beam].iter().sum::<f32>() / beams.len() as f32 - cell as f32
             };
+            let is_glint = are_glints.get(first..beam).is_some_and(|glints| glints.contains(&true));
+            if learns && evidence.cells.is_wall(number) {
+                glints.learn(distances[first], intensities[first]);
+            }
             let returns = evidence.cells.hit(number);
-            returns.record_hit([mean(0, index.x), mean(1, index.y)], self.scan, self.time, rule);
+            returns.record_hit([mean(0, index.x), mean(1, index.y)], is_glint, self.scan, self.time, rule);
+        }
+        if learns {
+            glints.conclude();
         }
     }
 
@@ -615,6 +648,38 @@ mod tests {
             }
             self.free_body();
         }
+    }
+
+    #[test]
+    fn cells_count_their_glints_as_soon_as_walls_are_known() {
+        // Between walls 2 m to the left and 6 m to the right; the left one glints where a beam meets it squarely.
+        let drive = |glint: f32| {
+            let mut grid = Visagge::new(0.05, VisaggeSettings::default());
+            for number in 0..400 {
+                let bearing = |beam: usize| (beam as f32 / 2.0 - 90.0).to_radians();
+                let across = |beam: usize| if beam < 180 { 6.0 } else { 2.0 };
+                let ranges = (0..361).map(|beam| across(beam) / bearing(beam).sin().abs().max(0.1)).collect();
+                let mut scan = half_circle(number, ranges);
+                scan.stamp_ns = number as i64 * 100_000_000;
+                let brightness = |(beam, range): (usize, &f32)| {
+                    let of = if beam == 360 { glint } else { 0.4 + 0.1 * (beam % 5) as f32 };
+                    700.0 * (of / range.powi(2)).powf(0.3)
+                };
+                scan.intensities = scan.ranges.iter().enumerate().map(brightness).collect();
+                let at = pose(0.03 * number as f64, 0.0, 0.0);
+                grid.insert(&Sweep { scan: &scan, start: at, end: at });
+            }
+            let glinted =
+                grid.cells().filter(|(_, cell, _)| cell.returns.glints > 0).map(|(index, ..)| index);
+            glinted.collect::<Vec<_>>()
+        };
+        assert!(drive(0.8).is_empty());
+        let glinted = drive(50.0);
+        assert!(glinted.len() > 50, "{}", glinted.len());
+        assert!(
+            glinted.iter().all(|index| (38..42).contains(&index.y) && index.x < 240),
+            "where it was met squarely"
+        );
     }
 
     /// Ranges as of walls, people and glass: long stretches that step, with holes.
