@@ -4,7 +4,7 @@
 //! are shown as occupied is decided in [`super::verdict`].
 
 use super::{
-    angle::{Angle, units},
+    angle::{Angle, units, whole},
     cell::{Cell, Returns, Rule},
     cells::{self, Cells},
     free::Outline,
@@ -268,10 +268,12 @@ pub(super) struct Glance<'a> {
 /// The cell of what did not return.
 const NOWHERE: CellIndex = CellIndex { x: i32::MAX, y: i32::MAX };
 
-/// Rounded down; without SSE4.1, `floor` is a call.
+/// Rounded down, for numbers below 2^22; beyond it is any. Without SSE4.1, `floor` is a call, and a cast that must mind what no
+/// integer can be is done one by one.
+#[inline(always)]
 fn floor(number: f32) -> i32 {
-    let whole = number as i32;
-    whole.saturating_sub(i32::from(whole as f32 > number))
+    let whole = whole(number);
+    whole.wrapping_sub(i32::from(whole as f32 > number))
 }
 
 /// One tile of the grid.
