@@ -536,14 +536,25 @@ impl Visagge {
             let at = |index: i32| (f64::from(index) + 0.5) * resolution;
             (at(index.x) - x).powi(2) + (at(index.y) - y).powi(2) <= radius * radius
         };
-        let (low, _, _) = low.split();
-        let (high, _, _) = high.split();
+        let (low, first_column, first_row) = low.split();
+        let (high, last_column, last_row) = high.split();
         for place in (low.y..=high.y).flat_map(|y| (low.x..=high.x).map(move |x| TileIndex { x, y })) {
             if let Some(number) = self.tiles.find(place)
                 && let Some(evidence) = &mut self.tiles.at_mut(number).evidence
             {
+                let last = SIDE as usize - 1;
+                let columns = [
+                    if place.x == low.x { first_column } else { 0 },
+                    if place.x == high.x { last_column } else { last },
+                ];
+                let rows = [
+                    if place.y == low.y { first_row } else { 0 },
+                    if place.y == high.y { last_row } else { last },
+                ];
                 // Nearly always nothing is there.
-                if evidence.cells.returns.iter().any(|returns| within(place, returns)) {
+                if evidence.slots.may_hold(columns, rows)
+                    && evidence.cells.returns.iter().any(|returns| within(place, returns))
+                {
                     evidence.retain(|returns| !within(place, returns));
                 }
             }
