@@ -475,7 +475,7 @@ impl Visagge {
         let Visagge { tiles, turns, was_hit, view, tolerance, near, sights, .. } = self;
         let side = (f64::from(SIDE - 1) * self.resolution) as f32;
         was_hit.resize(tiles.len(), false);
-        near.find(tiles.places(), was_hit, *turns, view, tolerance, side);
+        near.find(tiles, was_hit, *turns, view, tolerance, side);
         for number in near.tiles() {
             let place = tiles.place(number);
             let corner = view.corner(place, self.resolution);
