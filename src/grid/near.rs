@@ -5,7 +5,7 @@
 
 use super::{
     angle::atan2,
-    tiles::TileIndex,
+    tiles::{CellIndex, TileIndex, Tiles},
     view::{HAIR, Tolerance, View},
 };
 
@@ -53,23 +53,40 @@ impl Turns {
     /// Whether this scan is one of a tile's turns, wherever it is.
     #[inline(always)]
     pub fn are_of(self, place: TileIndex) -> bool {
-        number(self.now, place) != number(self.before, place)
+        self.are_of_group(group(place))
+    }
+
+    #[inline(always)]
+    fn are_of_group(self, group: usize) -> bool {
+        number(self.now, group) != number(self.before, group)
     }
 
     /// Number of the last turn that a tile had.
     pub fn number(self, place: TileIndex) -> i32 {
-        number(self.now, place)
+        number(self.now, group(place))
     }
 }
 
+/// Groups of tiles that have their turns together.
+const GROUPS: usize = 4;
+
 #[inline(always)]
-fn number(quarters: i32, place: TileIndex) -> i32 {
-    quarters.wrapping_add((place.x + 2 * place.y) & 3) >> 2
+fn group(place: TileIndex) -> usize {
+    ((place.x + 2 * place.y) & 3) as usize
+}
+
+#[inline(always)]
+fn number(quarters: i32, group: usize) -> i32 {
+    quarters.wrapping_add(group as i32) >> 2
 }
 
 /// Tiles within reach, by their number, and how the sensor sees the disc around each.
 #[derive(Debug, Default)]
 pub struct Near {
+    /// All tiles with their numbers, by group: most scans are the turn of one, and need not go through the others.
+    groups: [Vec<(TileIndex, u32)>; GROUPS],
+    /// How many tiles these are.
+    grouped: usize,
     numbers: Vec<u32>,
     /// The middle of each, seen from the sensor in the middle of the scan (m).
     middles: [Vec<f32>; 2],
@@ -84,9 +101,9 @@ impl Near {
     /// Finds those whose turn it is, those that were hit since their last one wherever the scanner looks now. `side`: between the
     /// middles of the first and the last cell (m).
     #[inline(always)]
-    pub fn find(
+    pub fn find<T: Default>(
         &mut self,
-        places: &[TileIndex],
+        tiles: &Tiles<T>,
         was_hit: &[bool],
         turns: Turns,
         view: &View,
@@ -96,17 +113,38 @@ impl Near {
         let radius = side * std::f32::consts::FRAC_1_SQRT_2;
         let slack = radius + view.moved() + HAIR;
         let beyond = view.farthest() + tolerance.along as f32 + slack;
+        let places = tiles.places();
+        for (number, &place) in places.iter().enumerate().skip(self.grouped) {
+            self.groups[group(place)].push((place, number as u32));
+        }
+        self.grouped = places.len();
         for values in self.middles.iter_mut().chain([&mut self.nearest, &mut self.beam, &mut self.half]) {
             values.resize(places.len(), 0.0);
         }
         self.numbers.resize(places.len(), 0);
         let (mut count, [xs, ys]) = (0, &mut self.middles);
-        for (number, (&place, &was_hit)) in places.iter().zip(was_hit).enumerate() {
+        let numbers = &mut self.numbers;
+        let mut take = |place: TileIndex, number: u32| {
             let [x, y] = view.corner(place, tolerance.resolution).map(|at| at + side / 2.0);
             // Written in any case, counted if it shall stay: a branch here would be guessed wrong too often.
-            (self.numbers[count], xs[count], ys[count]) = (number as u32, x, y);
-            let may_show = was_hit | (x * x + y * y <= beyond * beyond);
+            (numbers[count], xs[count], ys[count]) = (number, x, y);
+            let may_show = was_hit[number as usize] | (x * x + y * y <= beyond * beyond);
             count += usize::from(turns.have_come(place, [x, y], side / 2.0) & may_show);
+        };
+        for (_, tiles) in (0..).zip(&self.groups).filter(|(group, _)| turns.are_of_group(*group)) {
+            tiles.iter().for_each(|&(place, number)| take(place, number));
+        }
+        // Of the others, those that are close.
+        let [x, y] = view.middle();
+        let close = f64::from(CLOSE);
+        let (low, ..) = CellIndex::of(x - close, y - close, tolerance.resolution).split();
+        let (high, ..) = CellIndex::of(x + close, y + close, tolerance.resolution).split();
+        for place in (low.y..=high.y).flat_map(|y| (low.x..=high.x).map(move |x| TileIndex { x, y })) {
+            if !turns.are_of(place)
+                && let Some(number) = tiles.find(place)
+            {
+                take(place, number as u32);
+            }
         }
         self.numbers.truncate(count);
         let per_rad = view.lens.beams_per_rad.abs();

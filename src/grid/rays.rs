@@ -47,8 +47,9 @@ impl Rays {
         let corner = [self.base.x, self.base.y].map(|tile| f64::from(tile) * f64::from(SIDE));
         for axis in 0..2 {
             let from = start[axis] - corner[axis];
-            for (beam, origin) in self.origin[axis].iter_mut().enumerate() {
-                *origin = (from + shift[axis] * beam as f64) as f32;
+            // Numbers of 32 bits: those of 64 are turned into floats one by one.
+            for (origin, beam) in self.origin[axis].iter_mut().zip(0i32..) {
+                *origin = (from + shift[axis] * f64::from(beam)) as f32;
             }
         }
         // Turned by eight beams at a time: one by one, each would wait for the one before.

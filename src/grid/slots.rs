@@ -51,6 +51,13 @@ impl Slots {
         }
     }
 
+    /// Whether a cell may be between these columns and rows, the last ones included.
+    pub fn may_hold(&self, columns: [usize; 2], rows: [usize; 2]) -> bool {
+        let [columns, rows] = [columns, rows].map(|[first, last]| first >> 3..=last >> 3);
+        let is_there = |square: usize| usize::from(self.squares[square]) < self.numbers.len();
+        rows.flat_map(|row| columns.clone().map(move |column| row << 3 | column)).any(is_there)
+    }
+
     /// Memory beside itself (bytes).
     pub fn bytes(&self) -> usize {
         self.numbers.capacity() * size_of::<[u16; CELLS]>()
@@ -78,5 +85,14 @@ mod tests {
         slots.clear(77);
         assert_eq!((slots.get(77), slots.get(78)), (None, Some(78 ^ 0x5a5)));
         assert_eq!(slots.bytes(), 8192);
+    }
+
+    #[test]
+    fn where_no_square_is_there_is_no_cell() {
+        let mut slots = Slots::default();
+        slots.set(17 << 6 | 40, 0);
+        assert!(slots.may_hold([40, 40], [17, 17]) && slots.may_hold([0, 63], [0, 63]));
+        assert!(slots.may_hold([30, 41], [10, 16]), "as far as squares tell");
+        assert!(!slots.may_hold([30, 39], [16, 23]) && !slots.may_hold([40, 47], [24, 63]));
     }
 }

@@ -4,7 +4,7 @@
 //! are shown as occupied is decided in [`super::verdict`].
 
 use super::{
-    angle::{Angle, units},
+    angle::{Angle, units, whole},
     cell::{Cell, Returns, Rule},
     cells::{self, Cells},
     free::Outline,
@@ -269,10 +269,12 @@ pub(super) struct Glance<'a> {
 /// The cell of what did not return.
 const NOWHERE: CellIndex = CellIndex { x: i32::MAX, y: i32::MAX };
 
-/// Rounded down; without SSE4.1, `floor` is a call.
+/// Rounded down, for numbers below 2^22; beyond it is any. Without SSE4.1, `floor` is a call, and a cast that must mind what no
+/// integer can be is done one by one.
+#[inline(always)]
 fn floor(number: f32) -> i32 {
-    let whole = number as i32;
-    whole.saturating_sub(i32::from(whole as f32 > number))
+    let whole = whole(number);
+    whole.wrapping_sub(i32::from(whole as f32 > number))
 }
 
 /// One tile of the grid.
@@ -506,7 +508,7 @@ impl Visagge {
         let Visagge { tiles, turns, was_hit, view, tolerance, near, sights, .. } = self;
         let side = (f64::from(SIDE - 1) * self.resolution) as f32;
         was_hit.resize(tiles.len(), false);
-        near.find(tiles.places(), was_hit, *turns, view, tolerance, side);
+        near.find(tiles, was_hit, *turns, view, tolerance, side);
         for number in near.tiles() {
             let place = tiles.place(number);
             let corner = view.corner(place, self.resolution);
@@ -567,14 +569,25 @@ impl Visagge {
             let at = |index: i32| (f64::from(index) + 0.5) * resolution;
             (at(index.x) - x).powi(2) + (at(index.y) - y).powi(2) <= radius * radius
         };
-        let (low, _, _) = low.split();
-        let (high, _, _) = high.split();
+        let (low, first_column, first_row) = low.split();
+        let (high, last_column, last_row) = high.split();
         for place in (low.y..=high.y).flat_map(|y| (low.x..=high.x).map(move |x| TileIndex { x, y })) {
             if let Some(number) = self.tiles.find(place)
                 && let Some(evidence) = &mut self.tiles.at_mut(number).evidence
             {
+                let last = SIDE as usize - 1;
+                let columns = [
+                    if place.x == low.x { first_column } else { 0 },
+                    if place.x == high.x { last_column } else { last },
+                ];
+                let rows = [
+                    if place.y == low.y { first_row } else { 0 },
+                    if place.y == high.y { last_row } else { last },
+                ];
                 // Nearly always nothing is there.
-                if evidence.cells.returns.iter().any(|returns| within(place, returns)) {
+                if evidence.slots.may_hold(columns, rows)
+                    && evidence.cells.returns.iter().any(|returns| within(place, returns))
+                {
                     evidence.retain(|returns| !within(place, returns));
                 }
             }
