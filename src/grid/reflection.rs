@@ -16,7 +16,7 @@ use super::{
     cell::Cell,
     idea::Idea,
     mirrors::Mirror,
-    squares::CellsBySquare,
+    squares::{CellsBySquare, Squares},
     tiles::{CellIndex, SIDE, TileIndex, floor, whole},
     visagge::{Evidence, Tile, Visagge, place_of},
 };
@@ -155,9 +155,16 @@ pub(super) struct Lookups {
     sought: Lookup,
 }
 
+impl Lookups {
+    /// Whether lines of sight met nothing at all since this was last asked.
+    pub(super) fn were_clear(&mut self) -> bool {
+        !std::mem::take(&mut self.crossed.met)
+    }
+}
+
 impl From<Sources> for Lookups {
     fn from(Sources { crossed, sought }: Sources) -> Lookups {
-        let lookup = |places| Lookup { places, noted: Vec::new() };
+        let lookup = |places| Lookup { places, ..Lookup::default() };
         Lookups { crossed: lookup(crossed), sought: lookup(sought) }
     }
 }
@@ -174,6 +181,8 @@ struct Lookup {
     places: Places,
     /// Bit by bit, which tiles were looked up, by their number.
     noted: Vec<u64>,
+    /// Whether a line of sight has met one of the cells that it was about.
+    met: bool,
 }
 
 impl Lookup {
@@ -268,6 +277,7 @@ pub(super) fn image(
     place: TileIndex,
     cell: &Cell,
     round: usize,
+    past_walls: &mut PastWalls,
     lookups: &mut Lookups,
 ) -> Image {
     let index = cell.index(place);
@@ -277,15 +287,16 @@ pub(super) fn image(
         too.way >= 0.0 && too.range.width_rad() >= TELLING && grid.settings.has(Idea::SecondRange)
     });
     let mut image = Image::Yes;
-    for visible in [Some(&cell.visible), too].into_iter().flatten() {
+    for (range, visible) in [Some(&cell.visible), too].into_iter().flatten().enumerate() {
         let mut unexplained = 0;
         let [from, to] = visible.ends();
-        for part in OBSERVERS {
+        for (observer, part) in OBSERVERS.into_iter().enumerate() {
             let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
             let sight = Sight { from: [point[0] + x, point[1] + y], to: point, range: x.hypot(y), round };
             match explained(grid, &sight, lookups) {
                 Image::Yes => (),
-                _ if is_behind_wall(grid, &sight, &mut lookups.crossed) => (),
+                _ if past_walls
+                    .is_behind(range, observer, || is_behind_wall(grid, &sight, &mut lookups.crossed)) => {}
                 Image::IfOpaque(block) => image = Image::IfOpaque(block),
                 other => {
                     unexplained += 1;
@@ -297,6 +308,64 @@ pub(super) fn image(
         }
     }
     image
+}
+
+/// Which lines of sight to a cell are known to end before no wall: a bit for each of [`OBSERVERS`], of the first range of view angles only.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct PastWalls(u8);
+
+impl PastWalls {
+    /// Whether the cell is behind a wall, seen from there; `look` tells where that is not known.
+    fn is_behind(&mut self, range: usize, observer: usize, look: impl FnOnce() -> bool) -> bool {
+        let known = u8::from(range == 0) << observer;
+        if self.0 & known != 0 {
+            return false;
+        }
+        let is_behind = look();
+        if !is_behind {
+            self.0 |= known;
+        }
+        is_behind
+    }
+}
+
+/// Something has changed within a circle.
+pub(super) struct Spot {
+    /// Its middle (m).
+    middle: [f64; 2],
+    radius: f64,
+}
+
+impl Spot {
+    /// Around each of these squares of a tile, or around the tile where it is all of them, and farther by more than [`ASIDE`] reaches.
+    pub(super) fn around(place: TileIndex, squares: Squares, resolution: f64) -> impl Iterator<Item = Spot> {
+        let of = move |[column, row]: [usize; 2], side: i32| {
+            let CellIndex { x, y } = place.cell(8 * column, 8 * row);
+            let middle = [x, y].map(|low| (f64::from(low) + f64::from(side) / 2.0) * resolution);
+            Spot { middle, radius: f64::from(side) * SQRT_2 / 2.0 * resolution + 3.0 * THICKNESS / 2.0 }
+        };
+        let is_all = squares == Squares::ALL;
+        let all = is_all.then(|| of([0, 0], SIDE));
+        let single = if is_all { Squares::default() } else { squares };
+        all.into_iter().chain(single.iter().map(move |square| of(square, 8)))
+    }
+}
+
+/// Whether one of these may be on a line of sight to the cell, from where it was seen in its first range of view angles.
+pub(super) fn passes(grid: &Visagge, place: TileIndex, cell: &Cell, spots: &[Spot]) -> bool {
+    let index = cell.index(place);
+    let point = [index.x, index.y].map(|index| (f64::from(index) + 0.5) * grid.resolution);
+    let [from, to] = cell.visible.ends();
+    OBSERVERS.iter().any(|part| {
+        let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
+        let range = x.hypot(y);
+        spots.iter().any(|Spot { middle, radius }| {
+            let [to_x, to_y] = [0, 1].map(|axis| middle[axis] - point[axis]);
+            let (along, across) = (to_x * x + to_y * y, to_x * y - to_y * x);
+            let beside = radius * range;
+            across.abs() <= beside && along >= -beside && along <= range * range + beside
+        })
+    })
 }
 
 /// A line of sight.
@@ -418,6 +487,7 @@ fn follow<'a>(
                 let (steps, cell) = course.go_on(square, cells.cells(square), distance, step);
                 distance += step * f64::from(steps);
                 let Some(cell) = cell.filter(|_| distance < end) else { break };
+                crossed.met = true;
                 if visit(evidence, place, cell, distance) {
                     return true;
                 }

@@ -2,7 +2,6 @@
 
 use super::{
     cell::Cell,
-    reflection::ROUNDS,
     standard::Standard,
     tiles::{CellIndex, SIDE},
     visagge::Visagge,
@@ -124,7 +123,7 @@ impl Visagge {
                 cell.returns.occupancy,
                 cell.returns.passes,
                 judgement.verdict as u8,
-                judgement.images[ROUNDS - 1].number(),
+                judgement.image.number(),
             ]) {
                 layer.push(value);
             }

@@ -119,6 +119,8 @@ pub(super) struct Evidence {
     looked_turn: i32,
     /// What was last judged of each of `cells`.
     pub(super) judgements: Vec<Judgement>,
+    /// Whether nothing was judged yet.
+    pub(super) is_new: bool,
     /// Whether they were hit or looked at since.
     pub(super) is_touched: bool,
     /// Squares out of which cells were taken since.
@@ -154,6 +156,7 @@ impl Default for Evidence {
             looked_scan: 0,
             looked_turn: 0,
             judgements: Vec::new(),
+            is_new: true,
             is_touched: true,
             emptied: Squares::default(),
             shaped: [0; SIDE as usize],
