@@ -24,7 +24,7 @@ use super::{
     view::Place,
     visagge::{Evidence, Tile, Visagge, place_of},
 };
-use std::cell::OnceCell;
+use std::{cell::OnceCell, sync::Weak};
 
 /// What is judged of a cell, from its observations and those of the cells around.
 #[derive(Clone, Copy, Debug, Default)]
@@ -103,6 +103,8 @@ struct Change {
     walls: bool,
     /// Whether a cell's verdict is another, but for how thick surfaces are drawn.
     unthinned: bool,
+    /// Whether how a cell may be an image is another in the end.
+    image: bool,
 }
 
 /// Of each tile, by its number.
@@ -291,8 +293,7 @@ impl Visagge {
             let images = evidence.judgements.iter().enumerate().filter_map(judge).collect();
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
             evidence.sources = lookups.into();
-            evidence.take_images(round, images);
-            changes.0[number].judged = true;
+            evidence.take_images(round, images, &mut changes.0[number]);
         }
     }
 
@@ -325,7 +326,10 @@ impl Visagge {
     /// Draws surfaces one cell thick: ranges and poses spread the returns of a wall over cells one behind the other, and those
     /// are shown that got the most.
     fn thin(&mut self, changes: &Changes) {
-        for number in 0..self.tiles.len() {
+        for (number, change) in changes.0.iter().enumerate() {
+            if change.image || change.free || !change.cells.is_empty() {
+                self.tiles.at_mut(number).shown = Weak::new();
+            }
             let matters = |change: &Change| !change.cells.is_empty() || change.unthinned || change.shown;
             if !self.any_around(changes, number, matters) {
                 continue;
@@ -342,9 +346,12 @@ impl Visagge {
                     if is_beside { Verdict::Beside } else { judgement.unthinned }
                 })
                 .collect();
-            let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
+            let tile = self.tiles.at_mut(number);
+            let evidence = tile.evidence.as_mut().expect("it was there");
             for (judgement, verdict) in evidence.judgements.iter_mut().zip(verdicts) {
-                judgement.verdict = verdict;
+                if verdict != std::mem::replace(&mut judgement.verdict, verdict) {
+                    tile.shown = Weak::new();
+                }
             }
         }
     }
@@ -427,11 +434,13 @@ impl Evidence {
         (self.shown, self.walls) = (shown, walls);
     }
 
-    fn take_images(&mut self, round: usize, images: Vec<(usize, Judged)>) {
+    fn take_images(&mut self, round: usize, images: Vec<(usize, Judged)>, change: &mut Change) {
+        change.judged = true;
         for (number, Judged { image, is_clear, past_walls }) in images {
             let judgement = &mut self.judgements[number];
             (judgement.is_clear, judgement.past_walls) = (is_clear, past_walls);
             if round + 1 == ROUNDS {
+                change.image |= judgement.image != image;
                 (judgement.image, judgement.image_is_due) = (image, false);
             } else if let Some(mirrors) = &mut self.mirrors {
                 mirrors.set_image(place_of(self.cells.returns[number].place), round, image);

@@ -17,6 +17,7 @@ use super::{
     reflection::{Block, Opacity, ROUNDS, Sources},
     saved::PAUSE_NS,
     slots::Slots,
+    snapshot::ShownTile,
     squares::{CellsBySquare, Squares},
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
@@ -24,7 +25,7 @@ use super::{
     view::{Lens, Place, Tolerance, View},
 };
 use serde::{Deserialize, Serialize};
-use std::f64::consts::SQRT_2;
+use std::{f64::consts::SQRT_2, sync::Weak};
 
 /// What the grid assumes of scanner, localization and world.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -286,11 +287,13 @@ pub(super) struct Tile {
     pub(super) evidence: Option<Box<Evidence>>,
     /// Sum of the words of `free` when last judged: since bits are only ever set, it has grown where any was.
     pub(super) judged_free: u128,
+    /// What others see of it, if somebody holds that still and nothing has changed since.
+    pub(super) shown: Weak<ShownTile>,
 }
 
 impl Default for Tile {
     fn default() -> Self {
-        Tile { free: [0; SIDE as usize], evidence: None, judged_free: 0 }
+        Tile { free: [0; SIDE as usize], evidence: None, judged_free: 0, shown: Weak::new() }
     }
 }
 
