@@ -16,7 +16,7 @@
 use super::{
     idea::Idea,
     mirrors::{Mirror, Mirrors},
-    reflection::{self, Image, Lookups, Opacity, PastWalls, ROUNDS, Sources, Spot},
+    reflection::{self, Image, Lookups, Opacity, ROUNDS, Sights, Sources, Spot},
     squares::{CellsAround, CellsBySquare, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
@@ -37,11 +37,8 @@ pub(super) struct Judgement {
     pub image: Image,
     /// Whether this, and the same in the rounds before, has to be judged anew.
     image_is_due: bool,
-    /// Whether it is no image since its lines of sight met nothing in the first round in which it was judged: then they meet nothing in
-    /// those after it, where fewer reflect.
-    is_clear: bool,
-    /// What is known of walls before it.
-    past_walls: PastWalls,
+    /// What is known of the lines of sight to it.
+    sights: Sights,
     /// What its shape says of it.
     shape: Verdict,
     /// The same with gaps bridged.
@@ -65,21 +62,6 @@ pub(super) struct Shape {
     pub reach: Reach,
 }
 
-/// What was found of a cell in a round of images.
-struct Judged {
-    image: Image,
-    is_clear: bool,
-    past_walls: PastWalls,
-}
-
-impl Judged {
-    /// Of one that is no image, and of which nothing else is known than was before.
-    fn of(judgement: &Judgement) -> Judged {
-        let Judgement { is_clear, past_walls, .. } = *judgement;
-        Judged { image: Image::No, is_clear, past_walls }
-    }
-}
-
 /// What has changed in a tile since it was last judged.
 #[derive(Clone, Copy, Debug, Default)]
 struct Change {
@@ -95,8 +77,8 @@ struct Change {
     mirrors: [bool; ROUNDS],
     /// Where, in a round of images, lines of sight that met no mirror may meet one.
     mirrors_in_the_way: [Squares; ROUNDS],
-    /// The same of walls.
-    walls_in_the_way: Squares,
+    /// Where lines of sight may meet other walls.
+    walls_differ: Squares,
     /// Whether other cells are shown, gaps bridged.
     shown: bool,
     /// Whether other cells are walls.
@@ -116,7 +98,7 @@ impl Visagge {
         let mut changes = self.changes();
         self.judge_shapes(&mut changes);
         self.bridge_gaps(&mut changes);
-        self.forget_walls(&changes);
+        self.forget_sights(&changes);
         for round in 0..ROUNDS {
             self.judge_images(round, &mut changes);
             self.judge_opacity(round, &mut changes);
@@ -140,7 +122,7 @@ impl Visagge {
                 cells: evidence.changed(),
                 free: free != before,
                 walls: is_new,
-                walls_in_the_way: if is_new { Squares::ALL } else { Squares::default() },
+                walls_differ: if is_new { Squares::ALL } else { Squares::default() },
                 ..Change::default()
             }
         };
@@ -217,23 +199,22 @@ impl Visagge {
         }
     }
 
-    /// Forgets of cells that there is no wall before them, where there may be one now.
-    fn forget_walls(&mut self, changes: &Changes) {
+    /// Forgets what is known of the lines of sight to cells, where on these walls are others.
+    fn forget_sights(&mut self, changes: &Changes) {
         for number in 0..self.tiles.len() {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
-            let walls = self.in_the_way(evidence, |place| self.change(changes, place).walls_in_the_way);
+            let walls = self.in_the_way(evidence, |place| self.change(changes, place).walls_differ);
             if walls.is_empty() {
                 continue;
             }
-            let cells = evidence.judgements.iter().enumerate();
-            let known = cells.filter(|(_, judgement)| judgement.past_walls != PastWalls::default());
-            let passed = known
-                .map(|(at, _)| at)
+            let known = |at: &usize| evidence.judgements[*at].sights != Sights::default();
+            let passed = (0..evidence.judgements.len())
+                .filter(known)
                 .filter(|at| reflection::passes(self, place, &evidence.cells.get(*at), &walls));
             let passed: Vec<usize> = passed.collect();
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
-            passed.into_iter().for_each(|at| evidence.judgements[at].past_walls = PastWalls::default());
+            passed.into_iter().for_each(|at| evidence.judgements[at].sights = Sights::default());
         }
     }
 
@@ -262,33 +243,32 @@ impl Visagge {
             if !all && !evidence.judgements.iter().any(|judgement| judgement.image_is_due) {
                 continue;
             }
-            let in_the_way = self.in_the_way(evidence, |place| {
-                let change = self.change(changes, place);
-                change.mirrors_in_the_way[round] | change.walls_in_the_way
-            });
+            let in_the_way =
+                self.in_the_way(evidence, |place| self.change(changes, place).mirrors_in_the_way[round]);
             let mut lookups = Lookups::from(evidence.sources.clone());
             let judge = |(at, judgement): (usize, &Judgement)| {
                 let is_mirror = evidence.is_mirror(at);
                 let is_first = round == 0 || !is_mirror;
-                let is_due = judgement.image_is_due || all && !judgement.is_clear;
+                let is_due = judgement.image_is_due || all && !judgement.sights.are_clear();
                 if !is_last && !is_mirror || !is_due && !is_first {
                     return None;
                 }
+                let mut sights = judgement.sights;
                 if !(may_be && judgement.bridged.is_shown()) {
-                    return is_due.then_some((at, Judged { is_clear: false, ..Judged::of(judgement) }));
+                    sights.set_clear(false);
+                    return is_due.then_some((at, Image::No, sights));
                 }
-                if !is_first && judgement.is_clear {
-                    return Some((at, Judged::of(judgement)));
+                if !is_first && sights.are_clear() {
+                    return Some((at, Image::No, sights));
                 }
                 let cell = evidence.cells.get(at);
                 if !is_due && (in_the_way.is_empty() || !reflection::passes(self, place, &cell, &in_the_way))
                 {
                     return None;
                 }
-                let mut past_walls = judgement.past_walls;
-                let image = reflection::image(self, place, &cell, round, &mut past_walls, &mut lookups);
-                let is_clear = lookups.were_clear() && is_first && image == Image::No;
-                Some((at, Judged { image, is_clear, past_walls }))
+                let image = reflection::image(self, place, &cell, round, &mut sights, &mut lookups);
+                sights.set_clear(lookups.were_clear() && is_first && image == Image::No);
+                Some((at, image, sights))
             };
             let images = evidence.judgements.iter().enumerate().filter_map(judge).collect();
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
@@ -367,7 +347,7 @@ impl Evidence {
                 if fingerprints != judgement.fingerprints {
                     changed.insert(cell.returns.place);
                     if fingerprints[0] != judgement.fingerprints[0] {
-                        (judgement.image_is_due, judgement.past_walls) = (true, PastWalls::default());
+                        (judgement.image_is_due, judgement.sights) = (true, Sights::default());
                     }
                     judgement.fingerprints = fingerprints;
                 }
@@ -429,23 +409,24 @@ impl Evidence {
         let walls = CellsBySquare::from(walls);
         change.shown = shown != self.shown;
         change.walls |= walls != self.walls;
-        change.walls_in_the_way = change.walls_in_the_way | walls.beyond(&self.walls);
+        change.walls_differ = change.walls_differ | walls.unlike(&self.walls);
         change.judged = true;
         (self.shown, self.walls) = (shown, walls);
     }
 
-    fn take_images(&mut self, round: usize, images: Vec<(usize, Judged)>, change: &mut Change) {
+    /// Takes note of how cells may be images in a round, and of what is known of the lines of sight to them.
+    fn take_images(&mut self, round: usize, images: Vec<(usize, Image, Sights)>, change: &mut Change) {
         change.judged = true;
-        for (number, Judged { image, is_clear, past_walls }) in images {
+        for (number, image, sights) in images {
             let judgement = &mut self.judgements[number];
-            (judgement.is_clear, judgement.past_walls) = (is_clear, past_walls);
+            judgement.sights = sights;
             if round + 1 == ROUNDS {
                 change.image |= judgement.image != image;
                 (judgement.image, judgement.image_is_due) = (image, false);
             } else if let Some(mirrors) = &mut self.mirrors {
                 mirrors.set_image(place_of(self.cells.returns[number].place), round, image);
                 // It may be one in the rounds after this as they were judged before.
-                judgement.image_is_due |= is_clear;
+                judgement.image_is_due |= sights.are_clear();
             }
         }
     }

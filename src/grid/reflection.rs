@@ -20,6 +20,7 @@ use super::{
     tiles::{CellIndex, SIDE, TileIndex, floor, whole},
     visagge::{Evidence, Tile, Visagge, place_of},
 };
+use std::cell::LazyCell;
 use std::collections::BTreeMap;
 use std::f64::consts::SQRT_2;
 
@@ -149,7 +150,6 @@ impl Sources {
 }
 
 /// The same while images are judged.
-#[derive(Default)]
 pub(super) struct Lookups {
     crossed: Lookup,
     sought: Lookup,
@@ -164,7 +164,7 @@ impl Lookups {
 
 impl From<Sources> for Lookups {
     fn from(Sources { crossed, sought }: Sources) -> Lookups {
-        let lookup = |places| Lookup { places, ..Lookup::default() };
+        let lookup = |places| Lookup { places, recent: [None; 64], met: false };
         Lookups { crossed: lookup(crossed), sought: lookup(sought) }
     }
 }
@@ -176,11 +176,10 @@ impl From<Lookups> for Sources {
 }
 
 /// Looks tiles up, and takes note of where.
-#[derive(Default)]
 struct Lookup {
     places: Places,
-    /// Bit by bit, which tiles were looked up, by their number.
-    noted: Vec<u64>,
+    /// Those that were looked up last, by the lowest bits of their places: nearly always it is one of these again.
+    recent: [Option<(TileIndex, Option<u32>)>; 64],
     /// Whether a line of sight has met one of the cells that it was about.
     met: bool,
 }
@@ -188,19 +187,17 @@ struct Lookup {
 impl Lookup {
     /// The tile at this place.
     fn tile<'a>(&mut self, grid: &'a Visagge, place: TileIndex) -> Option<&'a Tile> {
-        let Some(number) = grid.tiles.find(place) else {
-            self.places.insert(place);
-            return None;
+        let recent = &mut self.recent[(place.y << 3 & 0o70 | place.x & 7) as usize];
+        let number = match recent {
+            Some((of, number)) if *of == place => *number,
+            _ => {
+                self.places.insert(place);
+                let number = grid.tiles.find(place).map(|number| number as u32);
+                *recent = Some((place, number));
+                number
+            }
         };
-        if number / 64 >= self.noted.len() {
-            self.noted.resize(number / 64 + 1, 0);
-        }
-        let noted = &mut self.noted[number / 64];
-        if *noted >> (number % 64) & 1 == 0 {
-            *noted |= 1 << (number % 64);
-            self.places.insert(place);
-        }
-        Some(grid.tiles.at(number))
+        number.map(|number| grid.tiles.at(number as usize))
     }
 }
 
@@ -277,7 +274,7 @@ pub(super) fn image(
     place: TileIndex,
     cell: &Cell,
     round: usize,
-    past_walls: &mut PastWalls,
+    sights: &mut Sights,
     lookups: &mut Lookups,
 ) -> Image {
     let index = cell.index(place);
@@ -295,7 +292,7 @@ pub(super) fn image(
             let sight = Sight { from: [point[0] + x, point[1] + y], to: point, range: x.hypot(y), round };
             match explained(grid, &sight, lookups) {
                 Image::Yes => (),
-                _ if past_walls
+                _ if sights
                     .is_behind(range, observer, || is_behind_wall(grid, &sight, &mut lookups.crossed)) => {}
                 Image::IfOpaque(block) => image = Image::IfOpaque(block),
                 other => {
@@ -310,22 +307,41 @@ pub(super) fn image(
     image
 }
 
-/// Which lines of sight to a cell are known to end before no wall: a bit for each of [`OBSERVERS`], of the first range of view angles only.
+/// What is known of the lines of sight to a cell from its first range of view angles, until that or the walls on them change.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct PastWalls(u8);
+pub(super) struct Sights {
+    /// A bit for each of [`OBSERVERS`] that sees it past the walls.
+    past_walls: u8,
+    /// The same of those that see a wall before it, and [`CLEAR`].
+    behind: u8,
+}
 
-impl PastWalls {
+/// Of `Sights::behind`.
+const CLEAR: u8 = 1 << 7;
+
+impl Sights {
+    /// Whether the cell is no image since its lines of sight met nothing in the first round in which it was judged: then they meet nothing
+    /// in those after it, where fewer reflect.
+    pub(super) fn are_clear(self) -> bool {
+        self.behind & CLEAR != 0
+    }
+
+    /// Takes note of that.
+    pub(super) fn set_clear(&mut self, are_clear: bool) {
+        self.behind = self.behind & !CLEAR | if are_clear { CLEAR } else { 0 };
+    }
+
     /// Whether the cell is behind a wall, seen from there; `look` tells where that is not known.
     fn is_behind(&mut self, range: usize, observer: usize, look: impl FnOnce() -> bool) -> bool {
-        let known = u8::from(range == 0) << observer;
-        if self.0 & known != 0 {
-            return false;
+        let bit = u8::from(range == 0) << observer;
+        if (self.past_walls | self.behind) & bit == 0 {
+            if look() {
+                self.behind |= bit;
+                return true;
+            }
+            self.past_walls |= bit;
         }
-        let is_behind = look();
-        if !is_behind {
-            self.0 |= known;
-        }
-        is_behind
+        self.behind & bit != 0
     }
 }
 
@@ -351,19 +367,27 @@ impl Spot {
     }
 }
 
-/// Whether one of these may be on a line of sight to the cell, from where it was seen in its first range of view angles.
+/// Whether one of these may be on a line of sight to the cell.
 pub(super) fn passes(grid: &Visagge, place: TileIndex, cell: &Cell, spots: &[Spot]) -> bool {
     let index = cell.index(place);
     let point = [index.x, index.y].map(|index| (f64::from(index) + 0.5) * grid.resolution);
-    let [from, to] = cell.visible.ends();
-    OBSERVERS.iter().any(|part| {
-        let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
-        let range = x.hypot(y);
-        spots.iter().any(|Spot { middle, radius }| {
+    [&cell.visible, &cell.visible_too].into_iter().filter(|visible| visible.way >= 0.0).any(|visible| {
+        let [from, to] = visible.ends();
+        let is_near = |Spot { middle, radius }: &&Spot| {
+            (0..2).all(|axis| {
+                let (low, high) = (from[axis].min(to[axis]).min(0.0), from[axis].max(to[axis]).max(0.0));
+                (low - radius..=high + radius).contains(&(middle[axis] - point[axis]))
+            })
+        };
+        spots.iter().filter(is_near).any(|Spot { middle, radius }| {
             let [to_x, to_y] = [0, 1].map(|axis| middle[axis] - point[axis]);
-            let (along, across) = (to_x * x + to_y * y, to_x * y - to_y * x);
-            let beside = radius * range;
-            across.abs() <= beside && along >= -beside && along <= range * range + beside
+            OBSERVERS.iter().any(|part| {
+                let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
+                let range = x.hypot(y);
+                let (along, across) = (to_x * x + to_y * y, to_x * y - to_y * x);
+                let beside = radius * range;
+                across.abs() <= beside && along >= -beside && along <= range * range + beside
+            })
         })
     })
 }
@@ -385,20 +409,20 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
     let mut image = Image::No;
     let Sight { from: sensor, to: point, range, .. } = *sight;
     let Lookups { crossed, sought } = lookups;
+    let bearing = LazyCell::new(|| (sensor[1] - point[1]).atan2(sensor[0] - point[0]));
     let near = |evidence: &'a Evidence| Some(evidence.mirrors.as_ref()?.near(sight.round));
     follow(grid, sight, crossed, near, |evidence, place, [column, row], distance| {
         let mirrors = evidence.mirrors.as_ref();
         let mirror = mirrors.and_then(|mirrors| mirrors.nearest(column, row, sight.round));
         let Some(Mirror { line, visible }) = mirror else { return false };
-        let bearing = (sensor[1] - point[1]).atan2(sensor[0] - point[0]);
-        let seen_from = Angle::from_rad(bearing);
+        let seen_from = Angle::from_rad(*bearing);
         // What was always seen from this direction was not seen through.
         let inside = visible.depth(AngleRange::at(seen_from), 0);
         if inside > units(INSIDE) as i32 {
             return false;
         }
         let block = Block::of(place.cell(column, row));
-        let mirrored = line.mirror(point);
+        let [mirrored, image_of_sensor] = line.mirror([point, sensor]);
         let distance_to = |[x, y]: [f64; 2]| (mirrored[0] - x).hypot(mirrored[1] - y);
         let tolerance = (PLACE + 2.0 * DIRECTION * (range - distance)).min(WIDEST);
         // What lies in the plane of a mirror would be its own original.
@@ -407,14 +431,14 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
         }
         let to_sensor = distance_to(sensor);
         // Where the original would be seen from.
-        let image_of_sensor = || {
-            let [x, y] = line.mirror(sensor);
+        let seen_from = LazyCell::new(|| {
+            let [x, y] = image_of_sensor;
             Angle::from_rad((y - mirrored[1]).atan2(x - mirrored[0]))
-        };
-        let explains = to_sensor <= BODY + tolerance
-            || grid.has_original(mirrored, image_of_sensor(), tolerance, sought);
+        });
+        let explains =
+            to_sensor <= BODY + tolerance || grid.has_original(mirrored, || *seen_from, tolerance, sought);
         let by_glass =
-            || range <= SEES * glass_reflects(line.off_normal(bearing)) || !grid.settings.has(Idea::Fresnel);
+            || range <= SEES * glass_reflects(line.off_normal(*bearing)) || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
             (true, _) if by_glass() => Image::Yes,
             (true, _) => Image::IfOpaque(block),
@@ -474,7 +498,7 @@ fn follow<'a>(
             distance = leaves.max(distance) + step / 8.0;
             continue;
         };
-        let mut squares = cells.squares() & course.squares(distance, leaves.min(end));
+        let mut squares = course.squares(distance, leaves.min(end), cells.squares());
         while squares != 0 {
             let square = course.first(squares);
             squares &= !(1 << square);
@@ -549,11 +573,12 @@ impl Course {
         // Whole numbers: rounding down is a shift. 2^-40 of a cell a step is less than all else rounds.
         const ONE: f64 = (1u64 << 40) as f64;
         let low = [square & 7, square >> 3].map(|at| 8 * at as i64);
-        let mut at = self.at(from).map(|at| whole(at * ONE));
+        let start = self.at(from).map(|at| whole(at * ONE));
+        let mut at = [start[0] - (low[0] << 40), start[1] - (low[1] << 40)];
         let along = self.along.map(|along| whole(along * step * ONE));
         let mut steps = 0;
         loop {
-            let [x, y] = [(at[0] >> 40) - low[0], (at[1] >> 40) - low[1]];
+            let [x, y] = at.map(|at| at >> 40);
             if (x | y) & !7 != 0 {
                 return (steps, None);
             }
@@ -584,22 +609,25 @@ impl Course {
         [x[0].max(y[0]), x[1].min(y[1])]
     }
 
-    /// The squares of 8 x 8 cells that it crosses between two distances (m) within the tile: a bit for each, row by row.
-    fn squares(&self, from: f64, to: f64) -> u64 {
+    /// Those of these squares of 8 x 8 cells that it crosses between two distances (m) within the tile: a bit for each, row by row.
+    fn squares(&self, from: f64, to: f64, of: u64) -> u64 {
+        if of == 0 {
+            return 0;
+        }
         let ends = [from, to].map(|distance| self.at(distance).map(|at| at / 8.0));
         let [low, high] = if self.along[1] >= 0.0 { ends } else { [ends[1], ends[0]] };
         let square = |at: f64| whole(at - 0.5).clamp(0, 7);
         let (first, last) = (square(low[1]), square(high[1]));
-        let (mut squares, mut x) = (0, low[0]);
-        for row in first..=last {
-            let leaves =
-                if row == last { high[0] } else { low[0] + ((row + 1) as f64 - low[1]) * self.slope };
+        let column = |row: i64| low[0] + (row as f64 - low[1]) * self.slope;
+        let mut squares = 0;
+        for row in (first..=last).filter(|row| of >> (8 * row) & 0xff != 0) {
+            let enters = if row == first { low[0] } else { column(row) };
+            let leaves = if row == last { high[0] } else { column(row + 1) };
             // A little more than that, for what lies on a border.
-            let (left, right) = (square(x.min(leaves) - 1e-6), square(x.max(leaves) + 1e-6));
+            let (left, right) = (square(enters.min(leaves) - 1e-6), square(enters.max(leaves) + 1e-6));
             squares |= ((2 << right) - (1 << left)) << (8 * row);
-            x = leaves;
         }
-        squares
+        squares & of
     }
 
     /// Which of these squares it comes to first.
@@ -622,11 +650,11 @@ fn cells_of(mut row: u64) -> impl Iterator<Item = usize> {
 
 impl Evidence {
     /// Whether a cell that is shown is seen from a direction. What something is seen through is not seen from everywhere.
-    fn is_seen(&self, column: usize, row: usize, seen_from: Angle) -> bool {
+    fn is_seen(&self, column: usize, row: usize, seen_from: impl Fn() -> Angle) -> bool {
         let mirror =
             self.mirrors.as_ref().and_then(|mirrors| mirrors.get(place_of([column as u8, row as u8])));
         let is_in_view = |mirror: &Mirror| {
-            let off = -mirror.visible.depth(AngleRange::at(seen_from), 0);
+            let off = -mirror.visible.depth(AngleRange::at(seen_from()), 0);
             off < units(OFF_VIEW) as i32
         };
         mirror.is_none_or(is_in_view) || self.walls.has(column, row)
@@ -642,7 +670,13 @@ impl Visagge {
 
     /// Whether a cell that is shown, and that is seen from this direction, lies within this distance of the point (m), in x and in y;
     /// `sought` takes in where that was looked up.
-    fn has_original(&self, point: [f64; 2], seen_from: Angle, distance: f64, sought: &mut Lookup) -> bool {
+    fn has_original(
+        &self,
+        point: [f64; 2],
+        seen_from: impl Fn() -> Angle,
+        distance: f64,
+        sought: &mut Lookup,
+    ) -> bool {
         let low = CellIndex::of(point[0] - distance, point[1] - distance, self.resolution);
         let high = CellIndex::of(point[0] + distance, point[1] + distance, self.resolution);
         let ((first, left, bottom), (last, right, top)) = (low.split(), high.split());
@@ -655,11 +689,16 @@ impl Visagge {
                 let columns = (u64::MAX << from) & (u64::MAX >> beyond);
                 let place = TileIndex { x, y };
                 sought.tile(self, place).and_then(|tile| tile.evidence.as_ref()).is_some_and(|evidence| {
-                    rows.clone().any(|row| {
-                        cells_of(evidence.shown[row] & columns).any(|column| {
-                            !self.settings.has(Idea::Originals) || evidence.is_seen(column, row, seen_from)
+                    let shown = &evidence.shown[rows.clone()];
+                    // Nearly always there is none.
+                    let is_any = shown.iter().fold(0, |all, cells| all | cells) & columns != 0;
+                    is_any
+                        && rows.clone().zip(shown).any(|(row, cells)| {
+                            cells_of(cells & columns).any(|column| {
+                                !self.settings.has(Idea::Originals)
+                                    || evidence.is_seen(column, row, &seen_from)
+                            })
                         })
-                    })
                 })
             })
         })

@@ -88,6 +88,11 @@ impl CellsBySquare {
         Squares(grown.fold(self.squares ^ before.squares, |squares, square| squares | 1 << square))
     }
 
+    /// The squares in which others are.
+    pub fn unlike(&self, others: &CellsBySquare) -> Squares {
+        self.beyond(others) | others.beyond(self)
+    }
+
     /// Whether the cell in this column and row is one of them.
     pub fn has(&self, column: usize, row: usize) -> bool {
         self.cells(row & 0o70 | column >> 3) >> ((row & 7) << 3 | column & 7) & 1 == 1
@@ -132,6 +137,12 @@ impl CellsAround {
     pub fn has(&self, [column, row]: [u8; 2], [x, y]: [i32; 2]) -> bool {
         let at = |at: u8, step: i32| (i32::from(at) + step + Self::MARGIN) as usize;
         self.0[at(row, y)] >> at(column, x) & 1 == 1
+    }
+
+    /// Those up to three columns and rows from this one of the tile: a bit for each, a word a row.
+    pub fn near(&self, [column, row]: [u8; 2]) -> [u8; 7] {
+        let first = |at: u8| usize::from(at) + Self::MARGIN as usize - 3;
+        std::array::from_fn(|y| (self.0[first(row) + y] >> first(column)) as u8 & 0x7f)
     }
 }
 
