@@ -39,6 +39,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use crate::config::Config;
 use crate::exit::{Exit, Failure};
+use crate::grid::snapshot::Snapshot;
 use crate::localize::Tracking;
 use crate::map::Map;
 use crate::mapper::{Mapper, MapperReport, PoseUse};
@@ -116,7 +117,7 @@ struct Supervisor {
     status: Status,
     phase: Phase,
     failure: Option<Failure>,
-    latest: Option<(Arc<Map>, MapperReport)>,
+    latest: Option<(Arc<Snapshot>, MapperReport)>,
     started: Instant,
     wall_minus_monotonic_ns: i64,
     duration: Option<Duration>,
@@ -595,9 +596,9 @@ impl Supervisor {
 
     fn write_outputs(&mut self, finished: bool) {
         let Some((map, mapper)) = self.latest.clone() else { return };
-        let report = self.report(&map, &mapper, finished);
+        let report = self.report(map.map(), &mapper, finished);
         let Some(outputs) = &mut self.outputs else { return };
-        if let Err(error) = outputs.write(&map, &report) {
+        if let Err(error) = outputs.write(map.map(), &report) {
             // The next set may find room again; only the last one decides.
             error!("{error:#}");
             if finished {
@@ -612,7 +613,7 @@ impl Supervisor {
         self.write_outputs(true);
         if let Some((map, mapper)) = &self.latest {
             self.status.summary(
-                map,
+                map.map(),
                 mapper,
                 self.outputs.as_ref().map(Outputs::folder),
                 &lock(&self.recording).files,

@@ -10,6 +10,7 @@ use crate::{
     grid::{
         Grid,
         saved::BadGrid,
+        snapshot::Snapshot,
         sweep::Sweep,
         visagge::{Visagge, VisaggeSettings},
     },
@@ -501,9 +502,14 @@ impl Mapper {
         self.outcomes.pop_front()
     }
 
+    /// The map as it is now, for who may want it whole.
+    pub fn snapshot(&mut self) -> Snapshot {
+        self.grid.snapshot()
+    }
+
     /// The map as it is now.
     pub fn map(&mut self) -> Map {
-        self.grid.map()
+        self.snapshot().put_together()
     }
 
     /// Scans that were put into the map so far.

@@ -29,6 +29,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::cdr::{self, Message};
+use crate::grid::snapshot::Snapshot;
 use crate::map::Map;
 use crate::pose::{Pose, StampedPose, quaternion_from_yaw};
 use crate::scan::Scan;
@@ -129,7 +130,7 @@ pub enum Record {
         pose: Pose,
     },
     /// A map.
-    Map(Arc<Map>),
+    Map(Arc<Snapshot>),
     /// How the parts are; once a second.
     Diagnostics(Vec<cdr::DiagnosticStatus>),
     /// The device has introduced itself.
@@ -676,7 +677,7 @@ impl Recorder {
                 self.message(Topic::TaskDone, Some(*scans_before), self.now_ns, &message)
             }
             Record::PoseUsed { stamp_ns, pose } => self.put_pose_used(*stamp_ns, pose),
-            Record::Map(map) => self.put_map(map),
+            Record::Map(map) => self.put_map(map.map()),
             Record::Diagnostics(status) => {
                 let header = self.header(self.now_ns, "");
                 let message = cdr::DiagnosticArray { header, status: status.clone() };

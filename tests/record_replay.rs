@@ -351,7 +351,7 @@ impl Live {
         self.take_outcomes();
         self.held_back.take().unwrap_or_default().into_iter().for_each(|record| self.record(record));
         let map = self.mapper.map();
-        self.record(Record::Map(Arc::new(map.clone())));
+        self.record(Record::Map(Arc::new(map.clone().into())));
         (map, self.outcomes, self.recorder.close().unwrap(), self.received)
     }
 }

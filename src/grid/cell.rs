@@ -178,36 +178,42 @@ impl Cell {
         [(f64::from(index.x) + x) * resolution, (f64::from(index.y) + y) * resolution]
     }
 
-    /// A number that is another one as soon as anything is that the cell is judged by: all of it but when it was observed.
-    pub fn fingerprint(&self) -> u64 {
+    /// Numbers that are others as soon as anything is that the cell is judged by, all of it but when it was observed: the first tells of
+    /// where it is seen from and whether it has glinted, which is all that its lines of sight depend on, the second of the rest.
+    pub fn fingerprints(&self) -> [u64; 2] {
         let Cell { returns, visible, visible_too, missed, seen_again } = self;
         let pair = |[a, b]: [u32; 2]| u64::from(a) << 32 | u64::from(b);
         let floats = |floats: [f32; 2]| pair(floats.map(f32::to_bits));
         let range = |range: &AngleRange| u32::from(range.start.0) << 16 | u32::from(range.width);
-        let counts = u32::from_le_bytes([
-            returns.occupancy,
-            returns.passes,
-            returns.glints,
-            u8::from(*seen_again) | u8::from(visible_too.way >= 0.0) << 1,
-        ]);
-        let words = [
-            floats(returns.centroid),
-            floats(returns.hit_time),
+        let counts =
+            u32::from_le_bytes([returns.occupancy, returns.passes, returns.glints, u8::from(*seen_again)]);
+        // Without a second range, its ends are no distance at all.
+        let seen_from = [
+            u64::from(returns.has_glinted()),
             floats(visible.ranges),
             floats(visible_too.ranges),
             pair([range(&visible.range), range(&visible_too.range)]),
+        ];
+        let rest = [
+            floats(returns.centroid),
+            floats(returns.hit_time),
             pair([range(missed), u32::from(returns.hits)]),
             u64::from(counts),
         ];
-        // Each step turns different numbers into different ones; 2^64 over the golden ratio spreads them.
-        words.into_iter().fold(0, |print: u64, word| {
-            let mixed = (print ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-            mixed ^ mixed >> 32
-        })
+        [print(&seen_from), print(&rest)]
     }
 
     /// Time from its first return to its last (s).
     pub fn lasted(&self) -> f32 {
         self.returns.hit_time[1] - self.returns.hit_time[0]
     }
+}
+
+/// A number for these words.
+fn print(words: &[u64]) -> u64 {
+    // Each step turns different numbers into different ones; 2^64 over the golden ratio spreads them.
+    words.iter().fold(0, |print: u64, word| {
+        let mixed = (print ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        mixed ^ mixed >> 32
+    })
 }

@@ -7,15 +7,16 @@
 //! - Shape: the cell and its neighbours, as far as its [`Reach`] goes.
 //! - Gaps: what is shown by its shape in the tile and those around.
 //! - Images: the cell's own view angles, the mirrors and walls in the tiles that its lines of sight cross, and what is shown and free in
-//!   those where its original would stand ([`Sources`]); then, which surfaces are opaque. All of this in [`ROUNDS`].
+//!   those where its original would stand ([`Sources`]); of cells whose lines of sight met nothing, only where on these others have come to
+//!   be mirrors and walls. Then, which surfaces are opaque. All of this in [`ROUNDS`].
 //! - Thickness: all of this in the tile and those around.
 //!
-//! That a cell has changed is told by its [fingerprint](super::cell::Cell::fingerprint).
+//! That a cell has changed is told by its [fingerprints](super::cell::Cell::fingerprints).
 
 use super::{
     idea::Idea,
     mirrors::{Mirror, Mirrors},
-    reflection::{self, Image, Lookups, Opacity, ROUNDS, Sources},
+    reflection::{self, Image, Lookups, Opacity, ROUNDS, Sights, Sources, Spot},
     squares::{CellsAround, CellsBySquare, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
@@ -23,19 +24,21 @@ use super::{
     view::Place,
     visagge::{Evidence, Tile, Visagge, place_of},
 };
-use std::cell::OnceCell;
+use std::{cell::OnceCell, sync::Weak};
 
 /// What is judged of a cell, from its observations and those of the cells around.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Judgement {
     /// Of the cell when it was judged.
-    fingerprint: u64,
+    fingerprints: [u64; 2],
     /// The cells that `shape` depends on.
     reach: Reach,
-    /// How it may be an image, round by round.
-    pub images: [Image; ROUNDS],
-    /// Whether `images` have to be judged anew.
+    /// How it may be an image, in the last round.
+    pub image: Image,
+    /// Whether this, and the same in the rounds before, has to be judged anew.
     image_is_due: bool,
+    /// What is known of the lines of sight to it.
+    sights: Sights,
     /// What its shape says of it.
     shape: Verdict,
     /// The same with gaps bridged.
@@ -72,14 +75,18 @@ struct Change {
     shaped: bool,
     /// Whether, in a round of images, other cells are mirrors, or in another way.
     mirrors: [bool; ROUNDS],
+    /// Where, in a round of images, lines of sight that met no mirror may meet one.
+    mirrors_in_the_way: [Squares; ROUNDS],
+    /// Where lines of sight may meet other walls.
+    walls_differ: Squares,
     /// Whether other cells are shown, gaps bridged.
     shown: bool,
     /// Whether other cells are walls.
     walls: bool,
-    /// Whether what images depend on was looked up anew.
-    sources: bool,
     /// Whether a cell's verdict is another, but for how thick surfaces are drawn.
     unthinned: bool,
+    /// Whether how a cell may be an image is another in the end.
+    image: bool,
 }
 
 /// Of each tile, by its number.
@@ -91,6 +98,7 @@ impl Visagge {
         let mut changes = self.changes();
         self.judge_shapes(&mut changes);
         self.bridge_gaps(&mut changes);
+        self.forget_sights(&changes);
         for round in 0..ROUNDS {
             self.judge_images(round, &mut changes);
             self.judge_opacity(round, &mut changes);
@@ -105,8 +113,18 @@ impl Visagge {
             let tile: &mut Tile = self.tiles.at_mut(number);
             let free: u128 = tile.free.iter().map(|&row| u128::from(row)).sum();
             let before = std::mem::replace(&mut tile.judged_free, free);
-            let cells = tile.evidence.as_mut().map(|evidence| evidence.changed()).unwrap_or_default();
-            Change { cells, free: free != before, ..Change::default() }
+            let Some(evidence) = &mut tile.evidence else {
+                return Change { free: free != before, ..Change::default() };
+            };
+            // Where there is evidence, lines of sight go on in other steps.
+            let is_new = std::mem::take(&mut evidence.is_new);
+            Change {
+                cells: evidence.changed(),
+                free: free != before,
+                walls: is_new,
+                walls_differ: if is_new { Squares::ALL } else { Squares::default() },
+                ..Change::default()
+            }
         };
         Changes(numbers.map(change).collect())
     }
@@ -181,6 +199,31 @@ impl Visagge {
         }
     }
 
+    /// Forgets what is known of the lines of sight to cells, where on these walls are others.
+    fn forget_sights(&mut self, changes: &Changes) {
+        for number in 0..self.tiles.len() {
+            let place = self.tiles.place(number);
+            let Some(evidence) = &self.tiles.at(number).evidence else { continue };
+            let walls = self.in_the_way(evidence, |place| self.change(changes, place).walls_differ);
+            if walls.is_empty() {
+                continue;
+            }
+            let known = |at: &usize| evidence.judgements[*at].sights != Sights::default();
+            let passed = (0..evidence.judgements.len())
+                .filter(known)
+                .filter(|at| reflection::passes(self, place, &evidence.cells.get(*at), &walls));
+            let passed: Vec<usize> = passed.collect();
+            let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
+            passed.into_iter().for_each(|at| evidence.judgements[at].sights = Sights::default());
+        }
+    }
+
+    /// Where these squares are, of the tiles that lines of sight to the cells of this one cross.
+    fn in_the_way(&self, evidence: &Evidence, squares: impl Fn(TileIndex) -> Squares) -> Vec<Spot> {
+        let crossed = evidence.sources.crossed.iter();
+        crossed.flat_map(|place| Spot::around(place, squares(place), self.resolution)).collect()
+    }
+
     /// Tells which cells that are shown may be images; before the last round, which of those that are mirrors.
     fn judge_images(&mut self, round: usize, changes: &mut Changes) {
         let is_last = round + 1 == ROUNDS;
@@ -190,42 +233,47 @@ impl Visagge {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
             let Sources { crossed, sought } = &evidence.sources;
-            let all = changes.0[number].sources
-                || crossed.iter().any(|place| {
-                    let change = self.change(changes, place);
-                    change.mirrors[round] || change.walls
-                })
-                || sought.iter().any(|place| {
-                    let change = self.change(changes, place);
-                    change.shown || change.free || change.walls || change.mirrors[0]
-                });
+            let all = crossed.iter().any(|place| {
+                let change = self.change(changes, place);
+                change.mirrors[round] || change.walls
+            }) || sought.iter().any(|place| {
+                let change = self.change(changes, place);
+                change.shown || change.free || change.walls || change.mirrors[0]
+            });
             if !all && !evidence.judgements.iter().any(|judgement| judgement.image_is_due) {
                 continue;
             }
-            // Begun anew in the first round, when all of all rounds is judged anew.
-            let anew = all && round == 0;
-            let sources = if anew { Sources::default() } else { evidence.sources.clone() };
-            let mut lookups = Lookups::from(sources);
-            let images: Vec<(usize, Image)> = evidence
-                .judgements
-                .iter()
-                .enumerate()
-                .filter(|(_, judgement)| all || judgement.image_is_due)
-                .map(|(at, judgement)| {
-                    let matters = judgement.bridged.is_shown() && (is_last || evidence.is_mirror(at));
-                    let image = if may_be && matters {
-                        reflection::image(self, place, &evidence.cells.get(at), round, &mut lookups)
-                    } else {
-                        Image::No
-                    };
-                    (at, image)
-                })
-                .collect();
+            let in_the_way =
+                self.in_the_way(evidence, |place| self.change(changes, place).mirrors_in_the_way[round]);
+            let mut lookups = Lookups::from(evidence.sources.clone());
+            let judge = |(at, judgement): (usize, &Judgement)| {
+                let is_mirror = evidence.is_mirror(at);
+                let is_first = round == 0 || !is_mirror;
+                let is_due = judgement.image_is_due || all && !judgement.sights.are_clear();
+                if !is_last && !is_mirror || !is_due && !is_first {
+                    return None;
+                }
+                let mut sights = judgement.sights;
+                if !(may_be && judgement.bridged.is_shown()) {
+                    sights.set_clear(false);
+                    return is_due.then_some((at, Image::No, sights));
+                }
+                if !is_first && sights.are_clear() {
+                    return Some((at, Image::No, sights));
+                }
+                let cell = evidence.cells.get(at);
+                if !is_due && (in_the_way.is_empty() || !reflection::passes(self, place, &cell, &in_the_way))
+                {
+                    return None;
+                }
+                let image = reflection::image(self, place, &cell, round, &mut sights, &mut lookups);
+                sights.set_clear(lookups.were_clear() && is_first && image == Image::No);
+                Some((at, image, sights))
+            };
+            let images = evidence.judgements.iter().enumerate().filter_map(judge).collect();
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
             evidence.sources = lookups.into();
-            evidence.take_images(round, images);
-            changes.0[number].sources |= anew;
-            changes.0[number].judged = true;
+            evidence.take_images(round, images, &mut changes.0[number]);
         }
     }
 
@@ -246,9 +294,10 @@ impl Visagge {
             let opaque = opacity.opaque(&evidence.rounds[round].votes);
             if change.judged || opaque != evidence.rounds[round].opaque {
                 evidence.rounds[round].opaque = opaque;
-                match change.mirrors.get_mut(round + 1) {
-                    Some(mirrors) => *mirrors |= evidence.take_mirrors(round),
-                    None => change.unthinned |= evidence.take_unthinned(),
+                if round + 1 < ROUNDS {
+                    evidence.take_mirrors(round + 1, change);
+                } else {
+                    change.unthinned |= evidence.take_unthinned();
                 }
             }
         }
@@ -257,7 +306,10 @@ impl Visagge {
     /// Draws surfaces one cell thick: ranges and poses spread the returns of a wall over cells one behind the other, and those
     /// are shown that got the most.
     fn thin(&mut self, changes: &Changes) {
-        for number in 0..self.tiles.len() {
+        for (number, change) in changes.0.iter().enumerate() {
+            if change.image || change.free || !change.cells.is_empty() {
+                self.tiles.at_mut(number).shown = Weak::new();
+            }
             let matters = |change: &Change| !change.cells.is_empty() || change.unthinned || change.shown;
             if !self.any_around(changes, number, matters) {
                 continue;
@@ -274,9 +326,12 @@ impl Visagge {
                     if is_beside { Verdict::Beside } else { judgement.unthinned }
                 })
                 .collect();
-            let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
+            let tile = self.tiles.at_mut(number);
+            let evidence = tile.evidence.as_mut().expect("it was there");
             for (judgement, verdict) in evidence.judgements.iter_mut().zip(verdicts) {
-                judgement.verdict = verdict;
+                if verdict != std::mem::replace(&mut judgement.verdict, verdict) {
+                    tile.shown = Weak::new();
+                }
             }
         }
     }
@@ -288,11 +343,13 @@ impl Evidence {
         let mut changed = std::mem::take(&mut self.emptied);
         if std::mem::take(&mut self.is_touched) {
             for (cell, judgement) in self.judged() {
-                let fingerprint = cell.fingerprint();
-                if fingerprint != judgement.fingerprint {
+                let fingerprints = cell.fingerprints();
+                if fingerprints != judgement.fingerprints {
                     changed.insert(cell.returns.place);
-                    judgement.fingerprint = fingerprint;
-                    judgement.image_is_due = true;
+                    if fingerprints[0] != judgement.fingerprints[0] {
+                        (judgement.image_is_due, judgement.sights) = (true, Sights::default());
+                    }
+                    judgement.fingerprints = fingerprints;
                 }
             }
         }
@@ -326,6 +383,14 @@ impl Evidence {
             (before, mirrors) => before.is_some() != mirrors.is_some(),
         };
         change.mirrors = [are_others; ROUNDS];
+        for (round, in_the_way) in change.mirrors_in_the_way.iter_mut().enumerate() {
+            *in_the_way = match (&before, &self.mirrors) {
+                (Some(before), Some(mirrors)) => mirrors.near(round).beyond(before.near(round)),
+                (None, None) => Squares::default(),
+                // Lines of sight go on in other steps.
+                _ => Squares::ALL,
+            };
+        }
         let shaped = self.rows(|number| self.judgements[number].shape.is_shown());
         change.shaped = shaped != self.shaped;
         change.judged = true;
@@ -341,23 +406,38 @@ impl Evidence {
         let walls = self
             .rows(|number| self.judgements[number].bridged == Verdict::Solid && self.cells.is_wall(number));
         let walls = CellsBySquare::from(walls);
-        (change.shown, change.walls) = (shown != self.shown, walls != self.walls);
+        change.shown = shown != self.shown;
+        change.walls |= walls != self.walls;
+        change.walls_differ = change.walls_differ | walls.unlike(&self.walls);
         change.judged = true;
         (self.shown, self.walls) = (shown, walls);
     }
 
-    fn take_images(&mut self, round: usize, images: Vec<(usize, Image)>) {
-        for (number, image) in images {
+    /// Takes note of how cells may be images in a round, and of what is known of the lines of sight to them.
+    fn take_images(&mut self, round: usize, images: Vec<(usize, Image, Sights)>, change: &mut Change) {
+        change.judged = true;
+        for (number, image, sights) in images {
             let judgement = &mut self.judgements[number];
-            judgement.images[round] = image;
-            judgement.image_is_due &= round + 1 < ROUNDS;
+            judgement.sights = sights;
+            if round + 1 == ROUNDS {
+                change.image |= judgement.image != image;
+                (judgement.image, judgement.image_is_due) = (image, false);
+            } else if let Some(mirrors) = &mut self.mirrors {
+                mirrors.set_image(place_of(self.cells.returns[number].place), round, image);
+                // It may be one in the rounds after this as they were judged before.
+                judgement.image_is_due |= sights.are_clear();
+            }
         }
     }
 
     fn count_votes(&mut self, round: usize) {
-        let votes = &mut self.rounds[round].votes;
-        *votes = Opacity::default();
-        self.judgements.iter().for_each(|judgement| votes.vote(judgement.images[round]));
+        let mut votes = Opacity::default();
+        if round + 1 == ROUNDS {
+            self.judgements.iter().for_each(|judgement| votes.vote(judgement.image));
+        } else {
+            self.mirrors.iter().flat_map(|mirrors| mirrors.images(round)).for_each(|image| votes.vote(image));
+        }
+        self.rounds[round].votes = votes;
     }
 
     /// Whether the cell with this number is a mirror.
@@ -366,13 +446,15 @@ impl Evidence {
         self.mirrors.as_ref().is_some_and(|mirrors| mirrors.get(place).is_some())
     }
 
-    /// Takes note of which mirrors reflect in the round after this. Gives whether others did.
-    fn take_mirrors(&mut self, round: usize) -> bool {
-        let Evidence { mirrors, slots, judgements, rounds, .. } = self;
-        let opaque = &rounds[round].opaque;
-        let is_image =
-            |place| slots.get(place).is_some_and(|number| judgements[number].images[round].is_image(opaque));
-        mirrors.as_mut().is_some_and(|mirrors| mirrors.set_reflecting(round + 1, |place| !is_image(place)))
+    /// Takes note of which mirrors reflect in this round, and whether others did.
+    fn take_mirrors(&mut self, round: usize, change: &mut Change) {
+        let Evidence { mirrors, rounds, .. } = self;
+        let in_the_way =
+            mirrors.as_mut().and_then(|mirrors| mirrors.reflect(round, &rounds[round - 1].opaque));
+        if let Some(squares) = in_the_way {
+            change.mirrors[round] = true;
+            change.mirrors_in_the_way[round] = change.mirrors_in_the_way[round] | squares;
+        }
     }
 
     /// Takes note of which cells are images in the end. Gives whether others were.
@@ -380,7 +462,7 @@ impl Evidence {
         let opaque = &self.rounds[ROUNDS - 1].opaque;
         let mut are_others = false;
         for judgement in &mut self.judgements {
-            let is_image = judgement.images[ROUNDS - 1].is_image(opaque);
+            let is_image = judgement.image.is_image(opaque);
             let verdict = if is_image { Verdict::Image } else { judgement.bridged };
             are_others |= verdict != judgement.unthinned;
             judgement.unthinned = verdict;

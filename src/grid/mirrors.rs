@@ -1,7 +1,12 @@
 //! The cells of a tile that something may be seen through or in, and all that images are judged by of them.
 
 use super::{
-    angle::AngleRange, reflection::ROUNDS, squares::CellsBySquare, surface::Line, tiles::SIDE, view::Place,
+    angle::AngleRange,
+    reflection::{Block, Image, ROUNDS},
+    squares::{CellsBySquare, Squares},
+    surface::Line,
+    tiles::SIDE,
+    view::Place,
 };
 
 /// What images are judged by of such a cell.
@@ -21,6 +26,8 @@ type Rows = [u64; SIDE as usize];
 pub struct Mirrors {
     /// By their places.
     mirrors: Vec<Mirror>,
+    /// How each of them may be an image itself, round by round but for the last.
+    images: Vec<[Image; ROUNDS - 1]>,
     rows: Rows,
     /// How many there are in the rows before each.
     before: [u16; SIDE as usize],
@@ -53,7 +60,7 @@ impl Reflecting {
 }
 
 impl Mirrors {
-    /// These, each at its place; `None` where there are none. Until something else is known, those reflect that were not `before`.
+    /// These, each at its place; `None` where there are none. Until something else is known, those are images that were `before`.
     pub fn of(mut mirrors: Vec<(Place, Mirror)>, before: Option<&Mirrors>) -> Option<Mirrors> {
         if mirrors.is_empty() {
             return None;
@@ -75,26 +82,49 @@ impl Mirrors {
             }
             reflecting.into()
         });
+        let images = |place| before.and_then(|before| Some(before.images[before.number(place)?]));
+        let images = mirrors.iter().map(|(place, _)| images(*place).unwrap_or_default()).collect();
         let mirrors = mirrors.into_iter().map(|(_, mirror)| mirror).collect();
-        Some(Mirrors { mirrors, rows, before: counts, reflecting })
+        Some(Mirrors { mirrors, images, rows, before: counts, reflecting })
     }
 
     /// All of them, by their places in the tile.
     pub fn iter(&self) -> impl Iterator<Item = (Place, &Mirror)> {
-        let places = self.rows.iter().enumerate().flat_map(|(row, &cells)| {
+        self.places().zip(&self.mirrors)
+    }
+
+    /// The places of all of them in the tile, in their order.
+    pub fn places(&self) -> impl Iterator<Item = Place> {
+        self.rows.iter().enumerate().flat_map(|(row, &cells)| {
             (0..SIDE as Place)
                 .filter(move |column| cells >> column & 1 == 1)
                 .map(move |column| (row as Place) << 6 | column)
-        });
-        places.zip(&self.mirrors)
+        })
+    }
+
+    /// Which of them the cell at this place is, if it is one of them.
+    fn number(&self, place: Place) -> Option<usize> {
+        let (row, column) = (usize::from(place >> 6), place & 63);
+        let cells = self.rows[row];
+        let number = self.before[row] as u32 + (cells & ((1 << column) - 1)).count_ones();
+        (cells >> column & 1 == 1).then_some(number as usize)
     }
 
     /// The cell at this place, if it is one of them.
     pub fn get(&self, place: Place) -> Option<&Mirror> {
-        let (row, column) = (usize::from(place >> 6), place & 63);
-        let cells = self.rows[row];
-        let number = self.before[row] as u32 + (cells & ((1 << column) - 1)).count_ones();
-        (cells >> column & 1 == 1).then(|| &self.mirrors[number as usize])
+        self.number(place).map(|number| &self.mirrors[number])
+    }
+
+    /// How they may be images themselves in a round, which is not the last.
+    pub fn images(&self, round: usize) -> impl Iterator<Item = Image> {
+        self.images.iter().map(move |images| images[round])
+    }
+
+    /// Takes note of how the one at this place may be an image in a round, which is not the last.
+    pub fn set_image(&mut self, place: Place, round: usize, image: Image) {
+        if let Some(number) = self.number(place) {
+            self.images[number][round] = image;
+        }
     }
 
     /// The one in this column and row, or beside, that reflects in this round.
@@ -114,19 +144,16 @@ impl Mirrors {
         &self.reflecting[round].near
     }
 
-    /// From now on, those reflect in a round for whose places this holds. Gives whether others did.
-    pub fn set_reflecting(&mut self, round: usize, holds: impl Fn(Place) -> bool) -> bool {
+    /// From now on, those reflect in a round that are no images in the one before, where these blocks are opaque. Where others did, gives
+    /// the squares in which lines of sight may meet one that they met none of before.
+    pub fn reflect(&mut self, round: usize, opaque: &[Block]) -> Option<Squares> {
         let mut rows: Rows = [0; SIDE as usize];
-        for (place, _) in self.iter().filter(|(place, _)| holds(*place)) {
-            rows[usize::from(place >> 6)] |= 1 << (place & 63);
+        for (place, image) in self.places().zip(self.images(round - 1)) {
+            rows[usize::from(place >> 6)] |= u64::from(!image.is_image(opaque)) << (place & 63);
         }
-        let are_others = self.iter().any(|(place, _)| {
-            self.reflecting[round].has(place) != (rows[usize::from(place >> 6)] >> (place & 63) & 1 == 1)
-        });
-        if are_others {
-            self.reflecting[round] = rows.into();
-        }
-        are_others
+        let before = std::mem::replace(&mut self.reflecting[round], rows.into());
+        let Reflecting { cells, near } = &self.reflecting[round];
+        (*cells != before.cells).then(|| near.beyond(&before.near))
     }
 
     /// Whether these are the same.
@@ -137,6 +164,9 @@ impl Mirrors {
     /// Memory that they hold (bytes).
     pub fn bytes(&self) -> usize {
         let squares = self.reflecting.iter().map(|Reflecting { cells, near }| cells.bytes() + near.bytes());
-        size_of_val(self) + self.mirrors.capacity() * size_of::<Mirror>() + squares.sum::<usize>()
+        size_of_val(self)
+            + self.mirrors.capacity() * size_of::<Mirror>()
+            + self.images.capacity() * size_of::<[Image; ROUNDS - 1]>()
+            + squares.sum::<usize>()
     }
 }

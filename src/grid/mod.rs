@@ -17,7 +17,7 @@ mod reflection;
 pub mod saved;
 mod single_pass;
 mod slots;
-mod snapshot;
+pub mod snapshot;
 mod squares;
 pub mod standard;
 pub mod surface;
@@ -29,11 +29,9 @@ pub mod view;
 pub mod visagge;
 pub mod visits;
 
-use crate::{
-    map::Map,
-    mapper::{MapperKind, MapperSettings},
-};
+use crate::mapper::{MapperKind, MapperSettings};
 use saved::SavedGrid;
+use snapshot::Snapshot;
 use standard::Standard;
 use sweep::Sweep;
 use visagge::Visagge;
@@ -73,11 +71,11 @@ impl Grid {
     }
 
     /// The map as it is now.
-    pub fn map(&mut self) -> Map {
+    pub fn snapshot(&mut self) -> Snapshot {
         match self {
-            Grid::Visagge(grid) => grid.map(),
-            Grid::Standard(grid) => grid.map(),
-            Grid::Visits(grid) => grid.map(),
+            Grid::Visagge(grid) => grid.snapshot(),
+            Grid::Standard(grid) => grid.map().into(),
+            Grid::Visits(grid) => grid.map().into(),
         }
     }
 

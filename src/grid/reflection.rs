@@ -16,10 +16,11 @@ use super::{
     cell::Cell,
     idea::Idea,
     mirrors::Mirror,
-    squares::CellsBySquare,
+    squares::{CellsBySquare, Squares},
     tiles::{CellIndex, SIDE, TileIndex, floor, whole},
     visagge::{Evidence, Tile, Visagge, place_of},
 };
+use std::cell::LazyCell;
 use std::collections::BTreeMap;
 use std::f64::consts::SQRT_2;
 
@@ -152,15 +153,21 @@ impl Sources {
 }
 
 /// The same while images are judged.
-#[derive(Default)]
 pub(super) struct Lookups {
     crossed: Lookup,
     sought: Lookup,
 }
 
+impl Lookups {
+    /// Whether lines of sight met nothing at all since this was last asked.
+    pub(super) fn were_clear(&mut self) -> bool {
+        !std::mem::take(&mut self.crossed.met)
+    }
+}
+
 impl From<Sources> for Lookups {
     fn from(Sources { crossed, sought }: Sources) -> Lookups {
-        let lookup = |places| Lookup { places, noted: Vec::new() };
+        let lookup = |places| Lookup { places, recent: [None; 64], met: false };
         Lookups { crossed: lookup(crossed), sought: lookup(sought) }
     }
 }
@@ -172,29 +179,28 @@ impl From<Lookups> for Sources {
 }
 
 /// Looks tiles up, and takes note of where.
-#[derive(Default)]
 struct Lookup {
     places: Places,
-    /// Bit by bit, which tiles were looked up, by their number.
-    noted: Vec<u64>,
+    /// Those that were looked up last, by the lowest bits of their places: nearly always it is one of these again.
+    recent: [Option<(TileIndex, Option<u32>)>; 64],
+    /// Whether a line of sight has met one of the cells that it was about.
+    met: bool,
 }
 
 impl Lookup {
     /// The tile at this place.
     fn tile<'a>(&mut self, grid: &'a Visagge, place: TileIndex) -> Option<&'a Tile> {
-        let Some(number) = grid.tiles.find(place) else {
-            self.places.insert(place);
-            return None;
+        let recent = &mut self.recent[(place.y << 3 & 0o70 | place.x & 7) as usize];
+        let number = match recent {
+            Some((of, number)) if *of == place => *number,
+            _ => {
+                self.places.insert(place);
+                let number = grid.tiles.find(place).map(|number| number as u32);
+                *recent = Some((place, number));
+                number
+            }
         };
-        if number / 64 >= self.noted.len() {
-            self.noted.resize(number / 64 + 1, 0);
-        }
-        let noted = &mut self.noted[number / 64];
-        if *noted >> (number % 64) & 1 == 0 {
-            *noted |= 1 << (number % 64);
-            self.places.insert(place);
-        }
-        Some(grid.tiles.at(number))
+        number.map(|number| grid.tiles.at(number as usize))
     }
 }
 
@@ -271,6 +277,7 @@ pub(super) fn image(
     place: TileIndex,
     cell: &Cell,
     round: usize,
+    sights: &mut Sights,
     lookups: &mut Lookups,
 ) -> Image {
     let index = cell.index(place);
@@ -281,16 +288,17 @@ pub(super) fn image(
     });
     let has_glinted = cell.returns.has_glinted();
     let mut image = Image::Yes;
-    for visible in [Some(&cell.visible), too].into_iter().flatten() {
+    for (range, visible) in [Some(&cell.visible), too].into_iter().flatten().enumerate() {
         let mut unexplained = 0;
         let [from, to] = visible.ends();
-        for part in OBSERVERS {
+        for (observer, part) in OBSERVERS.into_iter().enumerate() {
             let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
             let from = [point[0] + x, point[1] + y];
             let sight = Sight { from, to: point, range: x.hypot(y), round, has_glinted };
             match explained(grid, &sight, lookups) {
                 Image::Yes => (),
-                _ if is_behind_wall(grid, &sight, &mut lookups.crossed) => (),
+                _ if sights
+                    .is_behind(range, observer, || is_behind_wall(grid, &sight, &mut lookups.crossed)) => {}
                 Image::IfOpaque(block) => image = Image::IfOpaque(block),
                 other => {
                     unexplained += 1;
@@ -303,6 +311,91 @@ pub(super) fn image(
         }
     }
     image
+}
+
+/// What is known of the lines of sight to a cell from its first range of view angles, until that or the walls on them change.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Sights {
+    /// A bit for each of [`OBSERVERS`] that sees it past the walls.
+    past_walls: u8,
+    /// The same of those that see a wall before it, and [`CLEAR`].
+    behind: u8,
+}
+
+/// Of `Sights::behind`.
+const CLEAR: u8 = 1 << 7;
+
+impl Sights {
+    /// Whether the cell is no image since its lines of sight met nothing in the first round in which it was judged: then they meet nothing
+    /// in those after it, where fewer reflect.
+    pub(super) fn are_clear(self) -> bool {
+        self.behind & CLEAR != 0
+    }
+
+    /// Takes note of that.
+    pub(super) fn set_clear(&mut self, are_clear: bool) {
+        self.behind = self.behind & !CLEAR | if are_clear { CLEAR } else { 0 };
+    }
+
+    /// Whether the cell is behind a wall, seen from there; `look` tells where that is not known.
+    fn is_behind(&mut self, range: usize, observer: usize, look: impl FnOnce() -> bool) -> bool {
+        let bit = u8::from(range == 0) << observer;
+        if (self.past_walls | self.behind) & bit == 0 {
+            if look() {
+                self.behind |= bit;
+                return true;
+            }
+            self.past_walls |= bit;
+        }
+        self.behind & bit != 0
+    }
+}
+
+/// Something has changed within a circle.
+pub(super) struct Spot {
+    /// Its middle (m).
+    middle: [f64; 2],
+    radius: f64,
+}
+
+impl Spot {
+    /// Around each of these squares of a tile, or around the tile where it is all of them, and farther by more than [`ASIDE`] reaches.
+    pub(super) fn around(place: TileIndex, squares: Squares, resolution: f64) -> impl Iterator<Item = Spot> {
+        let of = move |[column, row]: [usize; 2], side: i32| {
+            let CellIndex { x, y } = place.cell(8 * column, 8 * row);
+            let middle = [x, y].map(|low| (f64::from(low) + f64::from(side) / 2.0) * resolution);
+            Spot { middle, radius: f64::from(side) * SQRT_2 / 2.0 * resolution + 3.0 * THICKNESS / 2.0 }
+        };
+        let is_all = squares == Squares::ALL;
+        let all = is_all.then(|| of([0, 0], SIDE));
+        let single = if is_all { Squares::default() } else { squares };
+        all.into_iter().chain(single.iter().map(move |square| of(square, 8)))
+    }
+}
+
+/// Whether one of these may be on a line of sight to the cell.
+pub(super) fn passes(grid: &Visagge, place: TileIndex, cell: &Cell, spots: &[Spot]) -> bool {
+    let index = cell.index(place);
+    let point = [index.x, index.y].map(|index| (f64::from(index) + 0.5) * grid.resolution);
+    [&cell.visible, &cell.visible_too].into_iter().filter(|visible| visible.way >= 0.0).any(|visible| {
+        let [from, to] = visible.ends();
+        let is_near = |Spot { middle, radius }: &&Spot| {
+            (0..2).all(|axis| {
+                let (low, high) = (from[axis].min(to[axis]).min(0.0), from[axis].max(to[axis]).max(0.0));
+                (low - radius..=high + radius).contains(&(middle[axis] - point[axis]))
+            })
+        };
+        spots.iter().filter(is_near).any(|Spot { middle, radius }| {
+            let [to_x, to_y] = [0, 1].map(|axis| middle[axis] - point[axis]);
+            OBSERVERS.iter().any(|part| {
+                let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
+                let range = x.hypot(y);
+                let (along, across) = (to_x * x + to_y * y, to_x * y - to_y * x);
+                let beside = radius * range;
+                across.abs() <= beside && along >= -beside && along <= range * range + beside
+            })
+        })
+    })
 }
 
 /// A line of sight.
@@ -324,20 +417,20 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
     let mut image = Image::No;
     let Sight { from: sensor, to: point, range, .. } = *sight;
     let Lookups { crossed, sought } = lookups;
+    let bearing = LazyCell::new(|| (sensor[1] - point[1]).atan2(sensor[0] - point[0]));
     let near = |evidence: &'a Evidence| Some(evidence.mirrors.as_ref()?.near(sight.round));
     follow(grid, sight, crossed, near, |evidence, place, [column, row], distance| {
         let mirrors = evidence.mirrors.as_ref();
         let mirror = mirrors.and_then(|mirrors| mirrors.nearest(column, row, sight.round));
         let Some(Mirror { line, visible }) = mirror else { return false };
-        let bearing = (sensor[1] - point[1]).atan2(sensor[0] - point[0]);
-        let seen_from = Angle::from_rad(bearing);
+        let seen_from = Angle::from_rad(*bearing);
         // What was always seen from this direction was not seen through.
         let inside = visible.depth(AngleRange::at(seen_from), 0);
         if inside > units(INSIDE) as i32 {
             return false;
         }
         let block = Block::of(place.cell(column, row));
-        let mirrored = line.mirror(point);
+        let [mirrored, image_of_sensor] = line.mirror([point, sensor]);
         let distance_to = |[x, y]: [f64; 2]| (mirrored[0] - x).hypot(mirrored[1] - y);
         let tolerance = (PLACE + 2.0 * DIRECTION * (range - distance)).min(WIDEST);
         // What lies in the plane of a mirror would be its own original.
@@ -346,15 +439,15 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
         }
         let to_sensor = distance_to(sensor);
         // Where the original would be seen from.
-        let image_of_sensor = || {
-            let [x, y] = line.mirror(sensor);
+        let seen_from = LazyCell::new(|| {
+            let [x, y] = image_of_sensor;
             Angle::from_rad((y - mirrored[1]).atan2(x - mirrored[0]))
-        };
-        let explains = to_sensor <= BODY + tolerance
-            || grid.has_original(mirrored, image_of_sensor(), tolerance, sought);
+        });
+        let explains =
+            to_sensor <= BODY + tolerance || grid.has_original(mirrored, || *seen_from, tolerance, sought);
         let needed = (range / SEES).max(if sight.has_glinted { OF_GLINTS } else { 0.0 });
         let by_glass =
-            || needed <= glass_reflects(line.off_normal(bearing)) || !grid.settings.has(Idea::Fresnel);
+            || needed <= glass_reflects(line.off_normal(*bearing)) || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
             (true, _) if by_glass() => Image::Yes,
             (true, _) => Image::IfOpaque(block),
@@ -414,7 +507,7 @@ fn follow<'a>(
             distance = leaves.max(distance) + step / 8.0;
             continue;
         };
-        let mut squares = cells.squares() & course.squares(distance, leaves.min(end));
+        let mut squares = course.squares(distance, leaves.min(end), cells.squares());
         while squares != 0 {
             let square = course.first(squares);
             squares &= !(1 << square);
@@ -427,6 +520,7 @@ fn follow<'a>(
                 let (steps, cell) = course.go_on(square, cells.cells(square), distance, step);
                 distance += step * f64::from(steps);
                 let Some(cell) = cell.filter(|_| distance < end) else { break };
+                crossed.met = true;
                 if visit(evidence, place, cell, distance) {
                     return true;
                 }
@@ -488,11 +582,12 @@ impl Course {
         // Whole numbers: rounding down is a shift. 2^-40 of a cell a step is less than all else rounds.
         const ONE: f64 = (1u64 << 40) as f64;
         let low = [square & 7, square >> 3].map(|at| 8 * at as i64);
-        let mut at = self.at(from).map(|at| whole(at * ONE));
+        let start = self.at(from).map(|at| whole(at * ONE));
+        let mut at = [start[0] - (low[0] << 40), start[1] - (low[1] << 40)];
         let along = self.along.map(|along| whole(along * step * ONE));
         let mut steps = 0;
         loop {
-            let [x, y] = [(at[0] >> 40) - low[0], (at[1] >> 40) - low[1]];
+            let [x, y] = at.map(|at| at >> 40);
             if (x | y) & !7 != 0 {
                 return (steps, None);
             }
@@ -523,22 +618,25 @@ impl Course {
         [x[0].max(y[0]), x[1].min(y[1])]
     }
 
-    /// The squares of 8 x 8 cells that it crosses between two distances (m) within the tile: a bit for each, row by row.
-    fn squares(&self, from: f64, to: f64) -> u64 {
+    /// Those of these squares of 8 x 8 cells that it crosses between two distances (m) within the tile: a bit for each, row by row.
+    fn squares(&self, from: f64, to: f64, of: u64) -> u64 {
+        if of == 0 {
+            return 0;
+        }
         let ends = [from, to].map(|distance| self.at(distance).map(|at| at / 8.0));
         let [low, high] = if self.along[1] >= 0.0 { ends } else { [ends[1], ends[0]] };
         let square = |at: f64| whole(at - 0.5).clamp(0, 7);
         let (first, last) = (square(low[1]), square(high[1]));
-        let (mut squares, mut x) = (0, low[0]);
-        for row in first..=last {
-            let leaves =
-                if row == last { high[0] } else { low[0] + ((row + 1) as f64 - low[1]) * self.slope };
+        let column = |row: i64| low[0] + (row as f64 - low[1]) * self.slope;
+        let mut squares = 0;
+        for row in (first..=last).filter(|row| of >> (8 * row) & 0xff != 0) {
+            let enters = if row == first { low[0] } else { column(row) };
+            let leaves = if row == last { high[0] } else { column(row + 1) };
             // A little more than that, for what lies on a border.
-            let (left, right) = (square(x.min(leaves) - 1e-6), square(x.max(leaves) + 1e-6));
+            let (left, right) = (square(enters.min(leaves) - 1e-6), square(enters.max(leaves) + 1e-6));
             squares |= ((2 << right) - (1 << left)) << (8 * row);
-            x = leaves;
         }
-        squares
+        squares & of
     }
 
     /// Which of these squares it comes to first.
@@ -561,11 +659,11 @@ fn cells_of(mut row: u64) -> impl Iterator<Item = usize> {
 
 impl Evidence {
     /// Whether a cell that is shown is seen from a direction. What something is seen through is not seen from everywhere.
-    fn is_seen(&self, column: usize, row: usize, seen_from: Angle) -> bool {
+    fn is_seen(&self, column: usize, row: usize, seen_from: impl Fn() -> Angle) -> bool {
         let mirror =
             self.mirrors.as_ref().and_then(|mirrors| mirrors.get(place_of([column as u8, row as u8])));
         let is_in_view = |mirror: &Mirror| {
-            let off = -mirror.visible.depth(AngleRange::at(seen_from), 0);
+            let off = -mirror.visible.depth(AngleRange::at(seen_from()), 0);
             off < units(OFF_VIEW) as i32
         };
         mirror.is_none_or(is_in_view) || self.walls.has(column, row)
@@ -581,7 +679,13 @@ impl Visagge {
 
     /// Whether a cell that is shown, and that is seen from this direction, lies within this distance of the point (m), in x and in y;
     /// `sought` takes in where that was looked up.
-    fn has_original(&self, point: [f64; 2], seen_from: Angle, distance: f64, sought: &mut Lookup) -> bool {
+    fn has_original(
+        &self,
+        point: [f64; 2],
+        seen_from: impl Fn() -> Angle,
+        distance: f64,
+        sought: &mut Lookup,
+    ) -> bool {
         let low = CellIndex::of(point[0] - distance, point[1] - distance, self.resolution);
         let high = CellIndex::of(point[0] + distance, point[1] + distance, self.resolution);
         let ((first, left, bottom), (last, right, top)) = (low.split(), high.split());
@@ -594,11 +698,16 @@ impl Visagge {
                 let columns = (u64::MAX << from) & (u64::MAX >> beyond);
                 let place = TileIndex { x, y };
                 sought.tile(self, place).and_then(|tile| tile.evidence.as_ref()).is_some_and(|evidence| {
-                    rows.clone().any(|row| {
-                        cells_of(evidence.shown[row] & columns).any(|column| {
-                            !self.settings.has(Idea::Originals) || evidence.is_seen(column, row, seen_from)
+                    let shown = &evidence.shown[rows.clone()];
+                    // Nearly always there is none.
+                    let is_any = shown.iter().fold(0, |all, cells| all | cells) & columns != 0;
+                    is_any
+                        && rows.clone().zip(shown).any(|(row, cells)| {
+                            cells_of(cells & columns).any(|column| {
+                                !self.settings.has(Idea::Originals)
+                                    || evidence.is_seen(column, row, &seen_from)
+                            })
                         })
-                    })
                 })
             })
         })
@@ -737,7 +846,8 @@ mod tests {
             let number = evidence.slots.get(place_of([column as u8, row as u8])).expect("it was drawn");
             let mut cell = evidence.cells.get(number);
             cell.returns.glints = glints;
-            super::image(&grid, place, &cell, ROUNDS - 1, &mut Lookups::default())
+            let (mut sights, mut lookups) = (Sights::default(), Lookups::from(Sources::default()));
+            super::image(&grid, place, &cell, ROUNDS - 1, &mut sights, &mut lookups)
         };
         let rows = [at(1.61, &mirror), at(0.91, &original), at(2.31, &image)];
         assert_eq!(found(&rows, 0), Image::Yes);

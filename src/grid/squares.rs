@@ -4,6 +4,7 @@ use super::{
     surface::{MARGIN, WINDOW},
     tiles::{SIDE, TileIndex},
 };
+use std::ops::BitOr;
 
 /// Squares along the side of a tile, of its margin, and of both margins and it.
 const IN_TILE: i32 = SIDE / 8;
@@ -15,7 +16,18 @@ const _: () = assert!(MARGIN % 8 == 0 && IN_MARGIN <= IN_TILE && IN_WINDOW <= 16
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Squares(u64);
 
+impl BitOr for Squares {
+    type Output = Squares;
+
+    fn bitor(self, Squares(others): Squares) -> Squares {
+        Squares(self.0 | others)
+    }
+}
+
 impl Squares {
+    /// All of them.
+    pub const ALL: Squares = Squares(u64::MAX);
+
     /// Takes in the square that holds the cell in this column and row.
     pub fn insert(&mut self, [column, row]: [u8; 2]) {
         self.0 |= 1 << (row & 0o70 | column >> 3);
@@ -24,6 +36,11 @@ impl Squares {
     /// Whether there is none.
     pub fn is_empty(self) -> bool {
         self.0 == 0
+    }
+
+    /// Column and row of each, among the squares.
+    pub fn iter(self) -> impl Iterator<Item = [usize; 2]> {
+        (0..64).filter(move |square| self.0 >> square & 1 == 1).map(|square| [square & 7, square >> 3])
     }
 }
 
@@ -60,6 +77,20 @@ impl CellsBySquare {
     pub fn cells(&self, square: usize) -> u64 {
         let before = (self.squares & ((1 << square) - 1)).count_ones();
         if self.squares >> square & 1 == 1 { self.cells[before as usize] } else { 0 }
+    }
+
+    /// Where a line of sight that met none of those `before` may meet one of these, or goes another way (from square to square that
+    /// holds some).
+    pub fn beyond(&self, before: &CellsBySquare) -> Squares {
+        let both = self.squares & before.squares;
+        let others = |square: &usize| self.cells(*square) & !before.cells(*square) != 0;
+        let grown = (0..64).filter(|square| both >> square & 1 == 1).filter(others);
+        Squares(grown.fold(self.squares ^ before.squares, |squares, square| squares | 1 << square))
+    }
+
+    /// The squares in which others are.
+    pub fn unlike(&self, others: &CellsBySquare) -> Squares {
+        self.beyond(others) | others.beyond(self)
     }
 
     /// Whether the cell in this column and row is one of them.
@@ -106,6 +137,12 @@ impl CellsAround {
     pub fn has(&self, [column, row]: [u8; 2], [x, y]: [i32; 2]) -> bool {
         let at = |at: u8, step: i32| (i32::from(at) + step + Self::MARGIN) as usize;
         self.0[at(row, y)] >> at(column, x) & 1 == 1
+    }
+
+    /// Those up to three columns and rows from this one of the tile: a bit for each, a word a row.
+    pub fn near(&self, [column, row]: [u8; 2]) -> [u8; 7] {
+        let first = |at: u8| usize::from(at) + Self::MARGIN as usize - 3;
+        std::array::from_fn(|y| (self.0[first(row) + y] >> first(column)) as u8 & 0x7f)
     }
 }
 

@@ -71,12 +71,14 @@ impl Line {
         off.min(PI - off)
     }
 
-    /// The mirror image of a point (m).
-    pub fn mirror(&self, point: [f64; 2]) -> [f64; 2] {
+    /// The mirror images of points (m).
+    pub fn mirror<const N: usize>(&self, points: [[f64; 2]; N]) -> [[f64; 2]; N] {
         let (sin, cos) = f64::from(self.normal).sin_cos();
         let [x, y] = self.at.map(f64::from);
-        let beyond = (point[0] - x) * cos + (point[1] - y) * sin;
-        [point[0] - 2.0 * beyond * cos, point[1] - 2.0 * beyond * sin]
+        points.map(|point| {
+            let beyond = (point[0] - x) * cos + (point[1] - y) * sin;
+            [point[0] - 2.0 * beyond * cos, point[1] - 2.0 * beyond * sin]
+        })
     }
 }
 
@@ -131,13 +133,16 @@ struct Neighbour {
     is_solid: bool,
 }
 
+/// No cell.
+const NONE: u16 = u16::MAX;
+
 /// The cells with evidence in a tile and around it, found by their place.
 pub struct Window {
     origin: CellIndex,
     resolution: f64,
     /// A bit for each cell with evidence, a word a row.
     rows: [u128; WINDOW as usize],
-    /// Which number each of these has.
+    /// Which number each of these has; [`NONE`] for all others.
     slots: Vec<u16>,
     /// By number: row by row, and in each from left to right.
     cells: Vec<Neighbour>,
@@ -151,7 +156,7 @@ impl Window {
             origin: CellIndex { x: corner.x - MARGIN, y: corner.y - MARGIN },
             resolution: grid.resolution,
             rows: [0; WINDOW as usize],
-            slots: vec![0; (WINDOW * WINDOW) as usize],
+            slots: vec![NONE; (WINDOW * WINDOW) as usize],
             cells: Vec::new(),
         };
         let mut found = Vec::new();
@@ -212,7 +217,9 @@ impl Window {
             .lengthened(&patch, origin, seen_from, same_view, reach)
             .filter(|long| long.is_flat() && long.length > patch.length);
         let line = long.unwrap_or(patch);
-        Some(Line { share: self.share(&line, index, seen_from), ..line })
+        // Of what is not flat it says nothing.
+        let share = if line.is_flat() { self.share(&line, index, seen_from) } else { 0.0 };
+        Some(Line { share, ..line })
     }
 
     /// Whether a cell has come with all that is around it: nearly nothing there had stood before a beam crossed it. Single cells of what
@@ -271,14 +278,14 @@ impl Window {
             let mut since = 0;
             let mut step = 1 - i64::from(side == 1);
             let at = |step: i64, depth: i64| {
-                [0, 1].map(|axis| {
-                    ((start[axis] + side * step * along[axis] + depth * across[axis]) >> 40) as i32
-                })
+                [0, 1].map(|axis| start[axis] + side * step * along[axis] + depth * across[axis])
             };
+            let cell = |at: [i64; 2]| at.map(|at| (at >> 40) as i32);
             while step <= i64::from(MARGIN) && since <= BRIDGE {
                 let mut found = false;
-                for depth in -1..=1 {
-                    let neighbour = self.at(at(step, depth));
+                let [x, y] = at(step, 0);
+                for [x, y] in [[x - across[0], y - across[1]], [x, y], [x + across[0], y + across[1]]] {
+                    let neighbour = self.at(cell([x, y]));
                     if let Some(neighbour) =
                         neighbour.filter(|it| it.seen_from.distance(seen_from) <= same_view)
                     {
@@ -294,7 +301,7 @@ impl Window {
             }
             // What lies between is in the rectangle around the corners.
             for depth in [-1, 1] {
-                reach.extend(at(step - 1, depth).map(|at| at.clamp(0, WINDOW - 1)));
+                reach.extend(cell(at(step - 1, depth)).map(|at| at.clamp(0, WINDOW - 1)));
             }
         }
         moments.line(origin)
@@ -314,9 +321,9 @@ impl Window {
 
     /// The cell in this column and row.
     fn at(&self, [x, y]: [i32; 2]) -> Option<&Neighbour> {
-        let row = self.rows.get(y as usize)?;
-        let is_there = (0..WINDOW).contains(&x) && row >> x & 1 == 1;
-        is_there.then(|| &self.cells[usize::from(self.slots[(y * WINDOW + x) as usize])])
+        let is_inside = (0..WINDOW).contains(&x) && (0..WINDOW).contains(&y);
+        let slot = if is_inside { self.slots[(y * WINDOW + x) as usize] } else { NONE };
+        self.cells.get(usize::from(slot))
     }
 
     /// Visits the cells around one of the tile's that were seen from about the same direction.

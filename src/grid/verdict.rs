@@ -119,12 +119,13 @@ pub(super) fn is_in_gap(cell: [u8; 2], shown: &CellsAround) -> bool {
 /// not the direction of view, which runs along a wall at grazing incidence; only of rows alike, it says which.
 fn across(cell: &Cell, shown: &CellsAround) -> (i32, i32) {
     let (sin, cos) = cell.visible.range.middle().rad().sin_cos();
+    let near = shown.near(cell.returns.place);
     let rows = [(1, 0, 1.0), (1, 1, SQRT_2), (0, 1, 1.0), (-1, 1, SQRT_2)].map(|(x, y, length)| {
-        let steps = [-3, -2, -1, 1, 2, 3].into_iter();
-        let count = steps.filter(|step| shown.has(cell.returns.place, [x * step, y * step])).count();
+        let count = [-3, -2, -1, 1, 2, 3].map(|step| near[(3 + y * step) as usize] >> (3 + x * step) & 1);
+        let count: u8 = count.into_iter().sum();
         let along = f64::from(x) * cos + f64::from(y) * sin;
         let across_view = 1.0 - (along / length).abs();
-        (count as f64 + across_view.min(0.999), (x, y))
+        (f64::from(count) + across_view.min(0.999), (x, y))
     });
     let (_, (x, y)) = rows.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)).expect("there are four");
     (-y, x)

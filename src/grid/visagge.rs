@@ -18,6 +18,7 @@ use super::{
     reflection::{Block, Opacity, ROUNDS, Sources},
     saved::PAUSE_NS,
     slots::Slots,
+    snapshot::ShownTile,
     squares::{CellsBySquare, Squares},
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
@@ -25,7 +26,7 @@ use super::{
     view::{Lens, Place, Tolerance, View},
 };
 use serde::{Deserialize, Serialize};
-use std::f64::consts::SQRT_2;
+use std::{f64::consts::SQRT_2, sync::Weak};
 
 /// What the grid assumes of scanner, localization and world.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -120,6 +121,8 @@ pub(super) struct Evidence {
     looked_turn: i32,
     /// What was last judged of each of `cells`.
     pub(super) judgements: Vec<Judgement>,
+    /// Whether nothing was judged yet.
+    pub(super) is_new: bool,
     /// Whether they were hit or looked at since.
     pub(super) is_touched: bool,
     /// Squares out of which cells were taken since.
@@ -155,6 +158,7 @@ impl Default for Evidence {
             looked_scan: 0,
             looked_turn: 0,
             judgements: Vec::new(),
+            is_new: true,
             is_touched: true,
             emptied: Squares::default(),
             shaped: [0; SIDE as usize],
@@ -286,11 +290,13 @@ pub(super) struct Tile {
     pub(super) evidence: Option<Box<Evidence>>,
     /// Sum of the words of `free` when last judged: since bits are only ever set, it has grown where any was.
     pub(super) judged_free: u128,
+    /// What others see of it, if somebody holds that still and nothing has changed since.
+    pub(super) shown: Weak<ShownTile>,
 }
 
 impl Default for Tile {
     fn default() -> Self {
-        Tile { free: [0; SIDE as usize], evidence: None, judged_free: 0 }
+        Tile { free: [0; SIDE as usize], evidence: None, judged_free: 0, shown: Weak::new() }
     }
 }
 

@@ -14,7 +14,7 @@ use super::clock;
 use super::queues::Sender;
 use super::shared::{Shared, lock};
 use crate::closing::{Done, Task, moved::Moved};
-use crate::map::Map;
+use crate::grid::snapshot::Snapshot;
 use crate::mapper::{Mapper, MapperReport, Outcome, ScanTime, times};
 use crate::pose::{Pose, StampedPose};
 use crate::record::{Attachment, Record};
@@ -52,7 +52,7 @@ pub enum FromMapper {
     /// A loop was closed: what was inserted until now lies elsewhere.
     Moved(Arc<Moved>),
     /// The map as it stands.
-    Map(Arc<Map>, Box<MapperReport>),
+    Map(Arc<Snapshot>, Box<MapperReport>),
     /// All that the grid knows, to be kept for the next run.
     Saved(Box<SavedMap>),
 }
@@ -234,14 +234,14 @@ impl Mapping {
     }
 
     fn tell_map(&mut self, delays: &Delays, patience: Duration) {
-        let map = Arc::new(self.mapper.map());
+        let map = Arc::new(self.mapper.snapshot());
         self.main.hand_over(FromMapper::Map(Arc::clone(&map), Box::new(self.report(delays))), patience);
         let Some(recorder) = &self.recorder else { return };
         recorder.hand_over(Record::Map(Arc::clone(&map)), patience);
         if patience.is_zero() {
             return;
         }
-        if let Ok(data) = crate::output::npz(&map) {
+        if let Ok(data) = crate::output::npz(map.map()) {
             let name = "map.npz".into();
             let attachment = Attachment { name, media_type: "application/x-npz".into(), data };
             recorder.hand_over(Record::Attachment(attachment), patience);
@@ -331,6 +331,6 @@ mod tests {
         let (map, loops) = last.unwrap();
         assert!(closed > 0, "{loops:?}");
         assert_eq!(again.report().loops, loops);
-        assert!(again.map() == *map, "the maps differ");
+        assert!(again.map() == *map.map(), "the maps differ");
     }
 }

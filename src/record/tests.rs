@@ -118,7 +118,7 @@ fn settings(folder: &Path) -> RecorderSettings {
 fn every_record_is_in_the_file_with_its_time() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = Recorder::create(settings(folder.path()), WALL, START).unwrap();
-    let map = Arc::new(Map {
+    let map = Map {
         resolution: 0.05,
         origin: [-1.0, -2.0],
         width: 2,
@@ -126,7 +126,7 @@ fn every_record_is_in_the_file_with_its_time() {
         occupancy: vec![-1, 100],
         visibility: vec![-1, 60],
         layers: Vec::new(),
-    });
+    };
     let device = scip::Device {
         version: Some(scip::Fields::new([("SERI", "00903971")])),
         parameter_fields: Some(scip::Fields::new([("DMIN", "23"), ("DMAX", "60000")])),
@@ -138,7 +138,7 @@ fn every_record_is_in_the_file_with_its_time() {
         scan(0),
         Record::PoseReceived { pose: stamped(1), scans_before: 1 },
         Record::PoseUsed { stamp_ns: START, pose: pose(1.0, 2.0, 0.0) },
-        Record::Map(map),
+        Record::Map(Arc::new(map.into())),
         Record::Diagnostics(vec![cdr::DiagnosticStatus { name: "scanner".into(), ..Default::default() }]),
         Record::Attachment(Attachment { name: "map.npz".into(), media_type: String::new(), data: vec![1] }),
     ] {
