@@ -7,7 +7,7 @@
 //! Without intensities, or where they do not fall with distance, there are no glints.
 
 /// Returns of walls that must have been seen before anything is concluded from them: some seconds' worth.
-const ENOUGH: f32 = 2000.0;
+const ENOUGH: f32 = 1000.0;
 /// Returns of walls from which on older ones count for less: a minute's worth.
 const MANY: f32 = 20_000.0;
 /// Least variance of the logarithms of their distances by which the exponent can be told: half an octave, squared.

@@ -270,6 +270,9 @@ pub(super) struct Glance<'a> {
     pub scans: u16,
 }
 
+/// Of so many beams, one is learned from in each scan, if a wall returned it: that is enough, and next to nothing.
+const LEARN_EVERY: usize = 32;
+
 /// The cell of what did not return.
 const NOWHERE: CellIndex = CellIndex { x: i32::MAX, y: i32::MAX };
 
@@ -458,13 +461,19 @@ impl Visagge {
             if range > 0.0 { index } else { NOWHERE }
         }));
         let intensities = if settings.has(Idea::Glints) { &*sweep.scan.intensities } else { &[] };
+        let has_intensities = intensities.len() == distances.len();
+        if has_intensities && turns.are_of(TileIndex { x: 0, y: 0 }) {
+            glints.conclude();
+        }
         are_glints.clear();
-        let have_intensities = intensities.len() == distances.len();
-        if glints.are_known() && have_intensities {
+        if has_intensities && glints.are_known() {
             let beams = distances.iter().zip(intensities);
             are_glints.extend(beams.map(|(&range, &intensity)| glints.are(range, intensity)));
         }
-        let learns = have_intensities && turns.are_of(TileIndex { x: 0, y: 0 });
+        let mut glinting =
+            (0..).zip(&*are_glints).filter(|(_, is_glint)| **is_glint).map(|(beam, _)| beam).peekable();
+        // Some of the beams of each scan, one after the other.
+        let learns = |beam: usize| has_intensities && (beam + self.scan as usize) % LEARN_EVERY == 0;
         let base = rays.base();
         let mut recent = (TileIndex { x: i32::MAX, y: i32::MAX }, 0);
         let mut beam = 0;
@@ -496,15 +505,13 @@ impl Visagge {
             let mean = |axis: usize, cell: i32| {
                 points[axis][first..beam].iter().sum::<f32>() / beams.len() as f32 - cell as f32
             };
-            let is_glint = are_glints.get(first..beam).is_some_and(|glints| glints.contains(&true));
-            if learns && evidence.cells.is_wall(number) {
+            let is_glint = glinting.next_if(|glint| *glint < beam).is_some();
+            while glinting.next_if(|glint| *glint < beam).is_some() {}
+            if learns(first) && evidence.cells.is_wall(number) {
                 glints.learn(distances[first], intensities[first]);
             }
             let returns = evidence.cells.hit(number);
             returns.record_hit([mean(0, index.x), mean(1, index.y)], is_glint, self.scan, self.time, rule);
-        }
-        if learns {
-            glints.conclude();
         }
     }
 
