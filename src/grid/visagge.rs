@@ -681,7 +681,7 @@ mod tests {
         // Between walls 2 m to the left and 6 m to the right; the left one glints where a beam meets it squarely.
         let drive = |glint: f32| {
             let mut grid = Visagge::new(0.05, VisaggeSettings::default());
-            for number in 0..400 {
+            for number in 0..1200 {
                 let bearing = |beam: usize| (beam as f32 / 2.0 - 90.0).to_radians();
                 let across = |beam: usize| if beam < 180 { 6.0 } else { 2.0 };
                 let ranges = (0..361).map(|beam| across(beam) / bearing(beam).sin().abs().max(0.1)).collect();
@@ -692,7 +692,7 @@ mod tests {
                     700.0 * (of / range.powi(2)).powf(0.3)
                 };
                 scan.intensities = scan.ranges.iter().enumerate().map(brightness).collect();
-                let at = pose(0.03 * number as f64, 0.0, 0.0);
+                let at = pose(0.01 * number as f64, 0.0, 0.0);
                 grid.insert(&Sweep { scan: &scan, start: at, end: at });
             }
             let glinted =
