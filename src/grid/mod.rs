@@ -4,7 +4,7 @@ pub mod angle;
 pub mod cell;
 mod cells;
 pub mod free;
-mod glints;
+pub mod glints;
 pub mod idea;
 mod judge;
 pub mod known;
