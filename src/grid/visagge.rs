@@ -473,7 +473,7 @@ impl Visagge {
         let mut glinting =
             (0..).zip(&*are_glints).filter(|(_, is_glint)| **is_glint).map(|(beam, _)| beam).peekable();
         // Some of the beams of each scan, one after the other.
-        let learns = |beam: usize| has_intensities && (beam + self.scan as usize) % LEARN_EVERY == 0;
+        let learns = |beam: usize| has_intensities && (beam + self.scan as usize).is_multiple_of(LEARN_EVERY);
         let base = rays.base();
         let mut recent = (TileIndex { x: i32::MAX, y: i32::MAX }, 0);
         let mut beam = 0;
