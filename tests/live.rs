@@ -80,19 +80,19 @@ fn decided(report: &serde_json::Value) -> u64 {
 fn a_live_run_and_the_replay_of_its_recording_end_in_the_same_map() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    let arguments = ["--device", "sim:hall", "--record=recordings", "--out", "live", "--duration", "5"];
+    let arguments = ["--device", "sim:hall", "--record=recordings", "--out", "live", "--duration", "10"];
     let status = Daemon::start(folder.path(), &arguments, None).wait();
     let log = fs::read_to_string(at("log")).unwrap();
     assert!(status.success(), "{log}");
 
     let report = json(&at("live/report.json"));
     let scans = report["scans_read"].as_u64().unwrap();
-    // 200 in 5 s; fewer where the machine is busy.
-    assert!((20..=201).contains(&scans), "{scans} scans\n{log}");
+    // 400 in 10 s; the start of the scanner takes some of them where the machine is busy.
+    assert!((100..=401).contains(&scans), "{scans} scans\n{log}");
     assert_eq!(decided(&report), scans);
-    assert!(report["scans_inserted"].as_u64().unwrap() > 10, "{report:#}");
+    assert!(report["scans_inserted"].as_u64().unwrap() > 50, "{report:#}");
     assert!(report["map"]["occupied"].as_u64().unwrap() > 100, "{report:#}");
-    assert!(report["poses"]["accepted"].as_u64().unwrap() > 20, "{report:#}");
+    assert!(report["poses"]["accepted"].as_u64().unwrap() > 100, "{report:#}");
     assert_eq!(report["device"]["PROT"], "SCIP 2.0");
     for (name, queue) in report["queues"].as_object().unwrap() {
         assert_eq!(queue["dropped"], 0, "{name}");
