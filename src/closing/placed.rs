@@ -12,7 +12,7 @@ const CODES: [(u16, f32); 3] = [(0, f32::NAN), (u16::MAX - 1, f32::NEG_INFINITY)
 /// The longest range that can be kept (mm); a UXM-30LX-EW measures up to 60 m.
 const LONGEST: f32 = (u16::MAX - 2) as f32;
 
-/// See the module. Its intensities are not kept.
+/// See the module. Its intensities are not kept, so a map that is made anew has no glints.
 #[derive(Clone, Debug)]
 pub struct Placed {
     seq: u64,

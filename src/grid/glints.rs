@@ -4,7 +4,8 @@
 //! Scanners tell intensities in units of their own, and no threshold holds for all. But the brightness of diffuse surfaces falls with
 //! the square of the distance, and an intensity is some power of the brightness (a UTM-30LX's about the fifth root). Which
 //! power, and how bright diffuse surfaces are, is learned from walls: what is seen over a wide range of angles and was hardly ever missed.
-//! Without intensities, or where they do not fall with distance, there are no glints.
+//! Without intensities, or where they do not fall with distance, there are no glints. A grid that is loaded from a file keeps those it has, and
+//! learns again.
 
 /// Returns of walls that must have been seen before anything is concluded from them: some seconds' worth.
 const ENOUGH: f32 = 1000.0;
