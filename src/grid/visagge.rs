@@ -505,7 +505,8 @@ impl Visagge {
             let mean = |axis: usize, cell: i32| {
                 points[axis][first..beam].iter().sum::<f32>() / beams.len() as f32 - cell as f32
             };
-            let is_glint = std::iter::from_fn(|| glinting.next_if(|glint| *glint < beam)).count() > 0;
+            let is_glint = glinting.next_if(|glint| *glint < beam).is_some();
+            while glinting.next_if(|glint| *glint < beam).is_some() {}
             if learns(first) && evidence.cells.is_wall(number) {
                 glints.learn(distances[first], intensities[first]);
             }
