@@ -17,7 +17,7 @@ use crate::mapper::{MapperKind, MapperSettings};
 /// First bytes of the file.
 const MAGIC: [u8; 8] = *b"VISAGGE\n";
 /// Version of the format; grows whenever [`SavedMap`] changes.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
 /// Length of all before the zstd frame: magic 8, version 4, length of the content 8, CRC-32 of all other bytes 4.
 pub const HEADER: usize = 24;
 /// No content is longer (bytes): a grid of a square kilometre with evidence in every tenth cell.
@@ -333,6 +333,8 @@ mod tests {
             glints: 2,
             hits: 300,
             was_crossed: true,
+            was_passed: true,
+            was_told: true,
             hit_scan: 70_000,
             visible,
             visible_too: Some(visible),

@@ -75,6 +75,10 @@ pub struct Returns {
     pub hits: u16,
     /// Whether a beam had crossed it before the first return came: it was not there, or not visible.
     pub was_crossed: bool,
+    /// Whether beams had gone past it shortly before, be it without return ([`super::earlier`]).
+    pub was_passed: bool,
+    /// Whether returns landed in it when glints could be told.
+    pub was_told: bool,
     /// The last scan that hit it, so that a scan counts once however many beams did.
     pub hit_scan: u32,
     /// Mean place of the returns in the cell (cells, 0..1 each).
@@ -93,6 +97,8 @@ impl Returns {
             glints: 0,
             hits: 0,
             was_crossed,
+            was_passed: false,
+            was_told: false,
             hit_scan: 0,
             centroid: [0.5; 2],
             hit_time: [0.0; 2],

@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 pub enum Idea {
     /// What came where a beam had passed is solid only if it was seen from a wide range of angles, or for a while.
     Newcomers,
+    /// What beams went past shortly before, be it without return, is a newcomer too.
+    Silences,
     /// What has come as a whole and is no larger than a person is solid only if it has stayed for longer than people do.
     Visitors,
     /// What was solid and was missed to the end has been taken away.
@@ -38,14 +40,17 @@ pub enum Idea {
     Walls,
     /// What has returned glints, brighter than anything diffuse, is a surface seen about its normal; needs intensities.
     Glints,
+    /// What has not glinted though it could is a surface only where it is broader than anybody.
+    Dull,
     /// Surfaces are drawn one cell thick.
     Thin,
 }
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 17] = [
+    pub const ALL: [Idea; 19] = [
         Idea::Newcomers,
+        Idea::Silences,
         Idea::Visitors,
         Idea::TakenAway,
         Idea::Surfaces,
@@ -61,6 +66,7 @@ impl Idea {
         Idea::Originals,
         Idea::Walls,
         Idea::Glints,
+        Idea::Dull,
         Idea::Thin,
     ];
 }

@@ -3,7 +3,8 @@
 pub mod angle;
 pub mod cell;
 mod cells;
-pub mod free;
+pub mod earlier;
+mod free;
 pub mod glints;
 pub mod idea;
 mod judge;

@@ -70,6 +70,8 @@ pub struct SavedCell {
     pub glints: u8,
     pub hits: u16,
     pub was_crossed: bool,
+    pub was_passed: bool,
+    pub was_told: bool,
     pub hit_scan: u32,
     pub visible: SavedSector,
     pub visible_too: Option<SavedSector>,
@@ -129,6 +131,8 @@ impl SavedCell {
             glints: cell.glints,
             hits: cell.hits,
             was_crossed: cell.was_crossed,
+            was_passed: cell.was_passed,
+            was_told: cell.was_told,
             hit_scan: cell.hit_scan,
             visible: SavedSector::of(&track.visible, track.way),
             visible_too: too.exists().then(|| SavedSector::of(&too, track.way_too)),
@@ -141,6 +145,8 @@ impl SavedCell {
 
     fn cell(&self) -> (Returns, Track) {
         let mut cell = Returns::new(self.place, self.was_crossed);
+        cell.was_passed = self.was_passed;
+        cell.was_told = self.was_told;
         cell.occupancy = self.occupancy;
         cell.passes = self.passes;
         cell.glints = self.glints;

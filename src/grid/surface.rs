@@ -57,6 +57,8 @@ pub struct Line {
     pub length: f32,
     /// Share of what was seen from the same direction, there and up to 0.3 m before and behind it, that lies on it (0..1).
     pub share: f32,
+    /// Whether any of this has glinted.
+    pub glints: bool,
 }
 
 impl Line {
@@ -117,6 +119,7 @@ impl Moments {
             rms: ((xx + yy) / 2.0 - spread).max(0.0).sqrt() as f32,
             length: (12.0 * ((xx + yy) / 2.0 + spread)).sqrt() as f32,
             share: 0.0,
+            glints: false,
         })
     }
 }
@@ -131,6 +134,8 @@ struct Neighbour {
     was_crossed: bool,
     /// Whether it was hardly ever missed: what stands behind a pane, not somebody's other leg.
     is_solid: bool,
+    /// Whether it has ever glinted. Random readings are seldom near a glint.
+    glints: bool,
 }
 
 /// No cell.
@@ -191,6 +196,7 @@ impl Window {
                 weight: f64::from(cell.returns.occupancy.min(WEIGHT)),
                 was_crossed: cell.returns.was_crossed,
                 is_solid: is_solid(&cell, &grid.settings),
+                glints: cell.returns.glints > 0,
             };
         }
         window
@@ -218,8 +224,7 @@ impl Window {
             .filter(|long| long.is_flat() && long.length > patch.length);
         let line = long.unwrap_or(patch);
         // Of what is not flat it says nothing.
-        let share = if line.is_flat() { self.share(&line, index, seen_from) } else { 0.0 };
-        Some(Line { share, ..line })
+        Some(if line.is_flat() { self.compared(line, index, seen_from) } else { line })
     }
 
     /// Whether a cell has come with all that is around it: nearly nothing there had stood before a beam crossed it. Single cells of what
@@ -237,21 +242,23 @@ impl Window {
         came > COME_AS_ONE * all
     }
 
-    /// See [`Line::share`].
-    fn share(&self, line: &Line, index: CellIndex, seen_from: Angle) -> f32 {
+    /// A line with its [`Line::share`] and [`Line::glints`].
+    fn compared(&self, line: Line, index: CellIndex, seen_from: Angle) -> Line {
         let (sin, cos) = f64::from(line.normal).sin_cos();
         let [x, y] = line.at.map(f64::from);
-        let (mut on, mut off) = (0.0, 0.0);
+        let (mut on, mut off, mut glints) = (0.0, 0.0, false);
         self.near(index, seen_from, units(SAME_VIEW), |neighbour| {
             let distance = ((neighbour.at[0] - x) * cos + (neighbour.at[1] - y) * sin).abs();
             if distance <= ON_LINE {
                 on += neighbour.weight;
+                glints |= neighbour.glints;
             } else if distance <= CLUTTER && !neighbour.is_solid {
                 off += neighbour.weight;
             }
         });
         // Where its own cell is not on the line, there may be nothing at all.
-        if on > 0.0 { (on / (on + off)) as f32 } else { 0.0 }
+        let share = if on > 0.0 { (on / (on + off)) as f32 } else { 0.0 };
+        Line { share, glints, ..line }
     }
 
     /// The line through what lies along a patch, on both sides as far as the row does not break off.

@@ -65,6 +65,9 @@ impl Verdict {
 const LEAST_HITS: u8 = 2;
 /// Least length of a surface (m): two legs of 12 cm side by side.
 const LEAST_LENGTH: f32 = 0.3;
+/// The same where none of it has glinted though glints could be told (m): nearly all panes glint where they are met at their normal,
+/// and nobody's legs do. But panes that lean by a degree don't either, and nobody is broader than that.
+const LEAST_DULL: f32 = 0.5;
 /// Least share of what was seen from there, somewhat before and behind it, that lies on a surface. Before a pane there is
 /// nothing, and behind it seldom anything as near; a person's legs swing to and fro.
 const LEAST_SHARE: f32 = 0.85;
@@ -86,7 +89,7 @@ pub(super) const SEEN_THROUGH: f64 = 0.02;
 /// What is shown on both sides of a gap must begin within this many cells: a quarter of a metre, less than half a
 /// door or a person's width.
 const GAP: i32 = 5;
-/// What a beam has crossed before it was first seen has come, or is seen from some directions only. It is
+/// What a beam has crossed before it was first seen, or gone past without return, has come, or is seen from some directions only. It is
 /// solid if it was seen over at least this range (rad), 10 degrees: a leg takes 0.3 s to cross a cell, and at 1 m/s a
 /// sensor 2 m away moves by 9 degrees meanwhile.
 const WIDE: f64 = 0.17;
@@ -191,8 +194,9 @@ impl Visagge {
 /// Whether the cell returned whenever it could, or nearly so.
 pub(super) fn is_solid(cell: &Cell, settings: &VisaggeSettings) -> bool {
     let width = u32::from(cell.visible.range.width);
+    let was_passed = cell.returns.was_passed && settings.has(Idea::Silences);
     width >= 2 * u32::from(cell.missed.width)
-        && (!cell.returns.was_crossed
+        && (!(cell.returns.was_crossed || was_passed)
             || width >= units(WIDE)
             || cell.lasted() >= LASTING
             || !settings.has(Idea::Newcomers))
@@ -204,7 +208,8 @@ fn explains(line: &Line, cell: &Cell, settings: &VisaggeSettings) -> bool {
     let beyond = off - cell.visible.range.width_rad() / 2.0;
     let is_long = line.length >= LONG && line.rms <= STRAIGHT && settings.has(Idea::LongSurfaces);
     let [most, most_beyond] = if is_long { OFF_LONG } else { OFF_SHORT };
-    line.length >= LEAST_LENGTH
+    let is_dull = cell.returns.was_told && !line.glints && settings.has(Idea::Dull);
+    line.length >= if is_dull { LEAST_DULL } else { LEAST_LENGTH }
         && line.is_flat()
         && (line.share >= LEAST_SHARE || !settings.has(Idea::Clutter))
         && off <= most
@@ -266,7 +271,7 @@ mod tests {
     fn a_pane_is_flat_alone_and_seen_about_its_normal() {
         let settings = VisaggeSettings::default();
         let explains = |line: &Line, cell: &Cell| explains(line, cell, &settings);
-        let pane = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0 };
+        let pane = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0, glints: false };
         let seen = |from: f64, to: f64| {
             let mut cell = Cell::of(&Returns::new([0, 0], true), &Track::default());
             let start = Angle::from_rad(from.to_radians());
@@ -290,7 +295,7 @@ mod tests {
 
     #[test]
     fn what_is_missed_to_the_end_where_it_would_return_has_gone() {
-        let box_ = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0 };
+        let box_ = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0, glints: false };
         let missed = |from: f64, seen_again| {
             let mut cell = Cell::of(&Returns::new([0, 0], false), &Track::default());
             cell.returns.occupancy = 9;

@@ -7,6 +7,7 @@ use super::{
     angle::{Angle, units, whole},
     cell::{Cell, Returns, Rule},
     cells::{self, Cells},
+    earlier::Earlier,
     free::Outline,
     glints::Glints,
     idea::Idea,
@@ -318,6 +319,7 @@ pub struct Visagge {
     points: [Vec<f32>; 2],
     /// The cell in which each return landed, relative to that of the rays' base; [`NOWHERE`] without one.
     landed: Vec<CellIndex>,
+    earlier: Earlier,
     glints: Glints,
     /// Whether each beam brought one; empty as long as nothing is known of them.
     are_glints: Vec<bool>,
@@ -354,6 +356,7 @@ impl Visagge {
             distances: Vec::new(),
             points: Default::default(),
             landed: Vec::new(),
+            earlier: Earlier::default(),
             glints: Glints::default(),
             are_glints: Vec::new(),
             outline: Outline::default(),
@@ -431,6 +434,7 @@ impl Visagge {
         self.turns.go_on(self.elapsed_ns, self.settings.look_every, follows);
         self.rays.load(sweep, self.resolution);
         self.view.load(sweep, self.settings.range_max, &self.tolerance);
+        self.earlier.keep(&self.view, &sweep.scan.ranges, self.time, follows);
     }
 
     /// Core step 1: where a return lands, the cell is more likely to be occupied.
@@ -443,10 +447,12 @@ impl Visagge {
             distances,
             points,
             landed,
+            earlier,
             glints,
             are_glints,
             turns,
             settings,
+            tolerance,
             ..
         } = self;
         let far = settings.range_max as f32;
@@ -474,6 +480,7 @@ impl Visagge {
             (0..).zip(&*are_glints).filter(|(_, is_glint)| **is_glint).map(|(beam, _)| beam).peekable();
         // Some of the beams of each scan, one after the other.
         let learns = |beam: usize| has_intensities && (beam + self.scan as usize).is_multiple_of(LEARN_EVERY);
+        let can_tell = !are_glints.is_empty();
         let base = rays.base();
         let mut recent = (TileIndex { x: i32::MAX, y: i32::MAX }, 0);
         let mut beam = 0;
@@ -499,7 +506,13 @@ impl Visagge {
                     let angle = Angle::from_bearing(rays.bearing(first) + std::f32::consts::PI);
                     let look = Look { angle, range: distance_units(distances[first]).max(1), way: self.way };
                     let was_crossed = tile.free[row] >> column & 1 == 1;
-                    evidence.add(Returns::new([column as u8, row as u8], was_crossed), Track::new(at, &look))
+                    let new = Returns::new([column as u8, row as u8], was_crossed);
+                    let middle = |axis: i32, tile: i32| {
+                        (f64::from(tile) * f64::from(SIDE) + f64::from(axis) + 0.5) * self.resolution
+                    };
+                    let middle = [middle(index.x, base.x), middle(index.y, base.y)];
+                    let was_passed = !was_crossed && earlier.went_past(middle, self.time, tolerance);
+                    evidence.add(Returns { was_passed, ..new }, Track::new(at, &look))
                 }
             };
             let mean = |axis: usize, cell: i32| {
@@ -511,6 +524,7 @@ impl Visagge {
                 glints.learn(distances[first], intensities[first]);
             }
             let returns = evidence.cells.hit(number);
+            returns.was_told |= can_tell;
             returns.record_hit([mean(0, index.x), mean(1, index.y)], is_glint, self.scan, self.time, rule);
         }
     }
