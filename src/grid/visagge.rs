@@ -495,7 +495,7 @@ impl Visagge {
             for (block, sights) in blocks.iter().zip(&mut **sights) {
                 nearest = nearest.min(P::sights(&vantage, block, sights));
             }
-            view.prepare(nearest);
+            view.prepare::<P>(nearest);
             let glance = Glance { view, rule, way: self.way, follows, scans };
             let mut removed = false;
             for ((block, returns), sights) in blocks.iter_mut().zip(returns.chunks_mut(LANES)).zip(&**sights)
@@ -584,6 +584,7 @@ mod tests {
     use super::*;
     use crate::{
         grid::{
+            lanes::Portable,
             sweep::tests::half_circle,
             track::{Run, Sector},
             view::{HIT, Observation},
@@ -599,7 +600,7 @@ mod tests {
             self.begin(sweep);
             let rule = self.rule(sweep);
             self.record_hits(sweep, &rule);
-            self.view.prepare(0);
+            self.view.prepare::<Portable>(0);
             let side = (f64::from(SIDE - 1) * self.resolution) as f32;
             for number in 0..self.tiles.len() {
                 let place = self.tiles.place(number);
