@@ -198,7 +198,7 @@ mod avx2 {
     /// Sixteen numbers of 16 bits.
     type Words = __m256i;
 
-    /// `Around::crossing` of sixteen beams at a time. What the compiler makes of the four numbers side by side takes three times as long.
+    /// `Around::crossing` of sixteen beams at a time. What the compiler makes of the four numbers side by side takes three times as many shuffles.
     #[target_feature(enable = "avx2,bmi2,lzcnt")]
     #[inline]
     fn cross(around: &Around, crossings: &mut [Crossing]) {
