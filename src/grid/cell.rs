@@ -87,6 +87,16 @@ pub struct Returns {
     pub(super) hit_time: [f32; 2],
 }
 
+/// One over each number: a quotient takes long.
+static WEIGHTS: [f32; 256] = {
+    let (mut weights, mut number) = ([0.0; 256], 0);
+    while number < weights.len() {
+        weights[number] = 1.0 / number as f32;
+        number += 1;
+    }
+    weights
+};
+
 impl Returns {
     /// Of a cell in which returns are about to land.
     pub fn new(place: [u8; 2], was_crossed: bool) -> Returns {
@@ -127,7 +137,7 @@ impl Returns {
         self.occupancy = (self.occupancy + u8::from(is_first)).min(rule.cap);
         self.hits = self.hits.saturating_add(u16::from(is_first));
         self.glints = self.glints.saturating_add(u8::from(is_glint && is_first));
-        let weight = 1.0 / f32::from(self.hits.min(255));
+        let weight = WEIGHTS[usize::from(self.hits.min(255))];
         for (mean, at) in self.centroid.iter_mut().zip(at) {
             *mean += (at - *mean) * weight;
         }

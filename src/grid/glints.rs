@@ -25,6 +25,9 @@ const FACTOR: f32 = 4.0;
 const LEVELS_PER_OCTAVE: f32 = 32.0;
 const LEVELS: usize = 512;
 
+/// Beams that are looked through at a time.
+const CHUNK: usize = 32;
+
 /// What is known of the intensities of diffuse surfaces. All logarithms are to base 2.
 #[derive(Clone, Debug, Default)]
 pub struct Glints {
@@ -52,6 +55,23 @@ impl Glints {
     pub fn are(&self, range: f32, intensity: f32) -> bool {
         let threshold = self.threshold.unwrap_or(f32::INFINITY);
         log2(intensity.max(0.0)) + self.fall * log2(range) >= threshold
+    }
+
+    /// The beams that brought one; `ranges` in m.
+    #[inline(always)]
+    pub fn find(&self, ranges: &[f32], intensities: &[f32], beams: &mut Vec<u32>) {
+        if !self.are_known() {
+            return;
+        }
+        // Nearly always there is none among so many.
+        let (ranges, intensities) = (ranges.chunks(CHUNK), intensities.chunks(CHUNK));
+        for (first, (ranges, intensities)) in (0u32..).step_by(CHUNK).zip(ranges.zip(intensities)) {
+            let are =
+                || ranges.iter().zip(intensities).map(|(&range, &intensity)| self.are(range, intensity));
+            if are().fold(false, |any, is| any | is) {
+                beams.extend((first..).zip(are()).filter(|(_, is)| *is).map(|(beam, _)| beam));
+            }
+        }
     }
 
     /// Takes note of a wall's return; `range` in m.

@@ -9,6 +9,7 @@ pub mod glints;
 pub mod idea;
 mod judge;
 pub mod known;
+mod landed;
 mod lanes;
 mod mirrors;
 pub mod near;

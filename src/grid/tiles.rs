@@ -86,10 +86,30 @@ impl Hasher for PlaceHasher {
     }
 }
 
+/// A tile that was looked for: its place, and its number, which is [`NONE`] as long as there was no such tile. Scan after scan goes to
+/// the tiles around the sensor, and most need not be looked up.
+#[derive(Clone, Copy, Debug)]
+struct Recent {
+    place: TileIndex,
+    number: u32,
+}
+
+const NONE: u32 = u32::MAX;
+/// In a square of so many tiles none is in the way of another: 51 m in cells of 5 cm.
+const RECENT_SIDE: i32 = 16;
+const RECENT: usize = (RECENT_SIDE * RECENT_SIDE) as usize;
+
+#[inline(always)]
+fn recent(place: TileIndex) -> usize {
+    ((place.y & (RECENT_SIDE - 1)) * RECENT_SIDE + (place.x & (RECENT_SIDE - 1))) as usize
+}
+
 /// Tiles by place, kept in the order in which they were made.
 #[derive(Clone, Debug)]
 pub struct Tiles<T> {
     numbers: HashMap<TileIndex, u32, BuildHasherDefault<PlaceHasher>>,
+    /// Some of these once more, each where its place tells ([`Recent`]).
+    recent: [Recent; RECENT],
     /// Apart from the tiles, so that going through all places touches little memory.
     places: Vec<TileIndex>,
     tiles: Vec<T>,
@@ -97,18 +117,39 @@ pub struct Tiles<T> {
 
 impl<T> Default for Tiles<T> {
     fn default() -> Self {
-        Tiles { numbers: HashMap::default(), places: Vec::new(), tiles: Vec::new() }
+        let recent = [Recent { place: TileIndex { x: 0, y: 0 }, number: NONE }; RECENT];
+        Tiles { numbers: HashMap::default(), recent, places: Vec::new(), tiles: Vec::new() }
     }
 }
 
 impl<T: Default> Tiles<T> {
     /// Number of the tile at this place, if there is one.
     pub fn find(&self, place: TileIndex) -> Option<usize> {
+        if let Some(number) = self.recent(place) {
+            return Some(number);
+        }
         self.numbers.get(&place).map(|&number| number as usize)
     }
 
     /// Number of the tile at this place; it is made where it was missing.
+    #[inline(always)]
     pub fn find_or_make(&mut self, place: TileIndex) -> usize {
+        if let Some(number) = self.recent(place) {
+            return number;
+        }
+        let number = self.look_up_or_make(place);
+        self.recent[recent(place)] = Recent { place, number: number as u32 };
+        number
+    }
+
+    #[inline(always)]
+    fn recent(&self, place: TileIndex) -> Option<usize> {
+        let found = &self.recent[recent(place)];
+        (found.place == place && found.number != NONE).then_some(found.number as usize)
+    }
+
+    #[inline(never)]
+    fn look_up_or_make(&mut self, place: TileIndex) -> usize {
         let next = self.tiles.len() as u32;
         let number = *self.numbers.entry(place).or_insert(next);
         if number == next {
@@ -179,6 +220,18 @@ mod tests {
         let (tile, column, row) = CellIndex::of(-0.01, 3.21, 0.05).split();
         assert_eq!((tile, column, row), (TileIndex { x: -1, y: 1 }, 63, 0));
         assert_eq!(tile.cell(column, row), CellIndex { x: -1, y: 64 });
+    }
+
+    #[test]
+    fn tiles_that_share_a_place_among_the_recent_are_told_apart() {
+        let mut tiles = Tiles::<u8>::default();
+        let places = [0, 1, RECENT_SIDE, -RECENT_SIDE].map(|x| TileIndex { x, y: 0 });
+        assert!(places.iter().all(|place| tiles.find(*place).is_none()));
+        for _ in 0..2 {
+            assert_eq!(places.map(|place| tiles.find_or_make(place)), [0, 1, 2, 3]);
+            assert_eq!(places.map(|place| tiles.find(place)), [Some(0), Some(1), Some(2), Some(3)]);
+        }
+        assert_eq!(tiles.len(), 4);
     }
 
     #[test]

@@ -6,6 +6,7 @@
 
 use super::{
     angle::{Angle, atan, in_circle, nearest, whole},
+    lanes::Path,
     sweep::Sweep,
     tiles::{SIDE, TileIndex},
     track::UNITS_PER_M,
@@ -59,7 +60,7 @@ const PAD: usize = 1 << LEVELS;
 /// Most bands of distance.
 pub(super) const BANDS: usize = 12;
 /// Longest distance that there is ([`UNITS_PER_M`]): what returned nothing.
-const FARTHEST: i16 = i16::MAX;
+pub(super) const FARTHEST: i16 = i16::MAX;
 
 /// How a scan turns places into bearings and ranges, in numbers: small enough to stay in registers.
 #[derive(Clone, Copy, Debug, Default)]
@@ -141,6 +142,34 @@ pub(super) struct Crossing {
     /// How far all beams that may cross the cell, errors considered, are free if those without return met nothing; with
     /// [`SILENT`] if there are such.
     pub empty: i16,
+}
+
+/// What the crossings of a band are taken from, a number for each beam: its own return, 0 without, and those of two windows of beams that
+/// together are around it.
+pub(super) struct Around<'a> {
+    pub own: &'a [i16],
+    /// Of the narrow windows, how far all are known to be free, and the farthest return.
+    pub low: [&'a [i16]; 2],
+    pub high: [&'a [i16]; 2],
+    /// Of the wide ones, how far all are known to be free, and how far if those without return met nothing.
+    pub clear: [&'a [i16]; 2],
+    pub empty: [&'a [i16]; 2],
+}
+
+impl Around<'_> {
+    /// What crosses a cell near this beam. `lanes` does the same.
+    #[inline(always)]
+    pub fn crossing(&self, beam: usize) -> Crossing {
+        let Around { own, low, high, clear, empty } = self;
+        let clear = clear[0][beam].min(clear[1][beam]);
+        let empty = empty[0][beam].min(empty[1][beam]);
+        Crossing {
+            returned: if own[beam] == 0 { FARTHEST } else { own[beam] },
+            low: low[0][beam].min(low[1][beam]),
+            high: high[0][beam].max(high[1][beam]),
+            empty: if clear < empty { empty | SILENT } else { empty },
+        }
+    }
 }
 
 /// See [`Crossing::empty`].
@@ -270,23 +299,23 @@ impl View {
 
     /// Has at hand what cells from this distance on ([`UNITS_PER_M`]) are compared with.
     #[inline(always)]
-    pub(super) fn prepare(&mut self, distance: u16) {
+    pub(super) fn prepare<P: Path>(&mut self, distance: u16) {
         let band = self.nearer.iter().take_while(|&&nearer| nearer > distance as i16).count();
         while self.known <= band {
-            self.load_band(self.known, self.bands[self.known]);
+            self.load_band::<P>(self.known, self.bands[self.known]);
             self.known += 1;
         }
     }
 
     #[inline(always)]
-    fn load_band(&mut self, number: usize, band: Band) {
+    fn load_band<P: Path>(&mut self, number: usize, band: Band) {
         // The two tabulated windows that cover the beams within `half` of each one.
         let count = self.count;
         let windows = |half: usize| {
             let beams = 2 * half + 1;
             let (level, first) = (beams.ilog2() as usize, PAD - half);
             let second = first + beams - (1 << level);
-            (level, first..first + count, second..second + count)
+            (level, [first..first + count, second..second + count])
         };
         for level in self.doubled + 1..=windows(band.wide).0 {
             double(&mut self.clear, level, i16::min);
@@ -294,24 +323,15 @@ impl View {
             double(&mut self.peak, level, i16::max);
             self.doubled = level;
         }
-        let (level, a, b) = windows(band.narrow);
-        let (low_a, low_b) = (&self.clear[level][a.clone()], &self.clear[level][b.clone()]);
-        let (high_a, high_b) = (&self.peak[level][a], &self.peak[level][b]);
-        let (level, a, b) = windows(band.wide);
-        let (clear_a, clear_b) = (&self.clear[level][a.clone()], &self.clear[level][b.clone()]);
-        let (empty_a, empty_b) = (&self.empty[level][a], &self.empty[level][b]);
-        let own = &self.clear[0][PAD..PAD + self.count];
-        let crossings = &mut self.crossings[number * self.count..][..self.count];
-        for (beam, crossing) in crossings.iter_mut().enumerate() {
-            let clear = clear_a[beam].min(clear_b[beam]);
-            let empty = empty_a[beam].min(empty_b[beam]);
-            *crossing = Crossing {
-                returned: if own[beam] == 0 { FARTHEST } else { own[beam] },
-                low: low_a[beam].min(low_b[beam]),
-                high: high_a[beam].max(high_b[beam]),
-                empty: if clear < empty { empty | SILENT } else { empty },
-            };
-        }
+        let (narrow, wide) = (windows(band.narrow), windows(band.wide));
+        let around = Around {
+            own: &self.clear[0][PAD..PAD + count],
+            low: narrow.1.clone().map(|beams| &self.clear[narrow.0][beams]),
+            high: narrow.1.map(|beams| &self.peak[narrow.0][beams]),
+            clear: wide.1.clone().map(|beams| &self.clear[wide.0][beams]),
+            empty: wide.1.map(|beams| &self.empty[wide.0][beams]),
+        };
+        P::cross(&around, &mut self.crossings[number * count..][..count]);
     }
 
     /// How far each beam and both beside it are known to be free (m), less `margin`; `silent`, where they returned nothing. A
@@ -439,7 +459,7 @@ fn double(table: &mut [Vec<i16>], level: usize, choose: impl Fn(i16, i16) -> i16
 mod tests {
     use super::*;
     use crate::{
-        grid::{sweep::tests::half_circle, track::distance_units},
+        grid::{lanes::Portable, sweep::tests::half_circle, track::distance_units},
         pose::pose,
     };
     use proptest::prelude::*;
@@ -455,7 +475,7 @@ mod tests {
             30.0,
             &TOLERANCE,
         );
-        view.prepare(0);
+        view.prepare::<Portable>(0);
         view
     }
 

@@ -4,7 +4,7 @@
 //! are shown as occupied is decided in [`super::verdict`].
 
 use super::{
-    angle::{Angle, units, whole},
+    angle::{Angle, units},
     cell::{Cell, Returns, Rule},
     cells::{self, Cells},
     earlier::Earlier,
@@ -12,6 +12,7 @@ use super::{
     glints::Glints,
     idea::Idea,
     judge::Judgement,
+    landed::{Landed, Run},
     lanes::{self, Path, Sights},
     mirrors::Mirrors,
     near::{Near, Turns},
@@ -274,17 +275,6 @@ pub(super) struct Glance<'a> {
 /// Of so many beams, one is learned from in each scan, if a wall returned it: that is enough, and next to nothing.
 const LEARN_EVERY: usize = 32;
 
-/// The cell of what did not return.
-const NOWHERE: CellIndex = CellIndex { x: i32::MAX, y: i32::MAX };
-
-/// Rounded down, for numbers below 2^22; beyond it is any. Without SSE4.1, `floor` is a call, and a cast that must mind what no
-/// integer can be is done one by one.
-#[inline(always)]
-fn floor(number: f32) -> i32 {
-    let whole = whole(number);
-    whole.wrapping_sub(i32::from(whole as f32 > number))
-}
-
 /// One tile of the grid.
 #[derive(Clone, Debug)]
 pub(super) struct Tile {
@@ -314,15 +304,13 @@ pub struct Visagge {
     tolerance: Tolerance,
     view: View,
     rays: Rays,
-    /// A distance and a point for each beam.
+    /// A distance for each beam.
     distances: Vec<f32>,
-    points: [Vec<f32>; 2],
-    /// The cell in which each return landed, relative to that of the rays' base; [`NOWHERE`] without one.
-    landed: Vec<CellIndex>,
+    landed: Landed,
     earlier: Earlier,
     glints: Glints,
-    /// Whether each beam brought one; empty as long as nothing is known of them.
-    are_glints: Vec<bool>,
+    /// The beams that brought one.
+    glinting: Vec<u32>,
     outline: Outline,
     near: Near,
     turns: Turns,
@@ -354,11 +342,10 @@ impl Visagge {
             view: View::default(),
             rays: Rays::default(),
             distances: Vec::new(),
-            points: Default::default(),
-            landed: Vec::new(),
+            landed: Landed::default(),
             earlier: Earlier::default(),
             glints: Glints::default(),
-            are_glints: Vec::new(),
+            glinting: Vec::new(),
             outline: Outline::default(),
             near: Near::default(),
             turns: Turns::default(),
@@ -445,11 +432,10 @@ impl Visagge {
             was_hit,
             rays,
             distances,
-            points,
             landed,
             earlier,
             glints,
-            are_glints,
+            glinting,
             turns,
             settings,
             tolerance,
@@ -460,36 +446,25 @@ impl Visagge {
         distances.extend(
             sweep.scan.ranges.iter().map(|&range| if range > 0.0 && range <= far { range } else { 0.0 }),
         );
-        rays.points(distances, points);
-        landed.clear();
-        landed.extend(points[0].iter().zip(&points[1]).zip(&*distances).map(|((&x, &y), &range)| {
-            let index = CellIndex { x: floor(x), y: floor(y) };
-            if range > 0.0 { index } else { NOWHERE }
-        }));
+        landed.load(rays, distances);
         let intensities = if settings.has(Idea::Glints) { &*sweep.scan.intensities } else { &[] };
         let has_intensities = intensities.len() == distances.len();
         if has_intensities && turns.are_of(TileIndex { x: 0, y: 0 }) {
             glints.conclude();
         }
-        are_glints.clear();
-        if has_intensities && glints.are_known() {
-            let beams = distances.iter().zip(intensities);
-            are_glints.extend(beams.map(|(&range, &intensity)| glints.are(range, intensity)));
+        glinting.clear();
+        if has_intensities {
+            glints.find(distances, intensities, glinting);
         }
-        let mut glinting =
-            (0..).zip(&*are_glints).filter(|(_, is_glint)| **is_glint).map(|(beam, _)| beam).peekable();
+        let mut glinting = glinting.iter().map(|&beam| beam as usize).peekable();
         // Some of the beams of each scan, one after the other.
         let learns = |beam: usize| has_intensities && (beam + self.scan as usize).is_multiple_of(LEARN_EVERY);
-        let can_tell = !are_glints.is_empty();
+        let can_tell = has_intensities && glints.are_known();
         let base = rays.base();
         let mut recent = (TileIndex { x: i32::MAX, y: i32::MAX }, 0);
         let mut beam = 0;
-        for beams in landed.chunk_by(PartialEq::eq) {
-            let (index, first) = (beams[0], beam);
-            beam += beams.len();
-            if index == NOWHERE {
-                continue;
-            }
+        while let Some(Run { first, next, index, mean }) = landed.run(beam) {
+            beam = next;
             let (place, column, row) = index.split();
             if recent.0 != place {
                 recent = (place, tiles.find_or_make(TileIndex { x: base.x + place.x, y: base.y + place.y }));
@@ -506,26 +481,22 @@ impl Visagge {
                     let angle = Angle::from_bearing(rays.bearing(first) + std::f32::consts::PI);
                     let look = Look { angle, range: distance_units(distances[first]).max(1), way: self.way };
                     let was_crossed = tile.free[row] >> column & 1 == 1;
-                    let new = Returns::new([column as u8, row as u8], was_crossed);
-                    let middle = |axis: i32, tile: i32| {
-                        (f64::from(tile) * f64::from(SIDE) + f64::from(axis) + 0.5) * self.resolution
-                    };
-                    let middle = [middle(index.x, base.x), middle(index.y, base.y)];
-                    let was_passed = !was_crossed && earlier.went_past(middle, self.time, tolerance);
-                    evidence.add(Returns { was_passed, ..new }, Track::new(at, &look))
+                    let mut returns = Returns::new([column as u8, row as u8], was_crossed);
+                    let middle = [(base.x, index.x), (base.y, index.y)].map(|(tile, cell)| {
+                        (f64::from(tile) * f64::from(SIDE) + f64::from(cell) + 0.5) * self.resolution
+                    });
+                    returns.was_passed = !was_crossed && earlier.went_past(middle, self.time, tolerance);
+                    evidence.add(returns, Track::new(at, &look))
                 }
             };
-            let mean = |axis: usize, cell: i32| {
-                points[axis][first..beam].iter().sum::<f32>() / beams.len() as f32 - cell as f32
-            };
-            let is_glint = glinting.next_if(|glint| *glint < beam).is_some();
-            while glinting.next_if(|glint| *glint < beam).is_some() {}
+            let is_glint = glinting.next_if(|glint| *glint < next).is_some();
+            while glinting.next_if(|glint| *glint < next).is_some() {}
             if learns(first) && evidence.cells.is_wall(number) {
                 glints.learn(distances[first], intensities[first]);
             }
             let returns = evidence.cells.hit(number);
             returns.was_told |= can_tell;
-            returns.record_hit([mean(0, index.x), mean(1, index.y)], is_glint, self.scan, self.time, rule);
+            returns.record_hit(mean, is_glint, self.scan, self.time, rule);
         }
     }
 
@@ -548,7 +519,7 @@ impl Visagge {
             for (block, sights) in blocks.iter().zip(&mut **sights) {
                 nearest = nearest.min(P::sights(&vantage, block, sights));
             }
-            view.prepare(nearest);
+            view.prepare::<P>(nearest);
             let glance = Glance { view, rule, way: self.way, follows, scans };
             let mut removed = false;
             for ((block, returns), sights) in blocks.iter_mut().zip(returns.chunks_mut(LANES)).zip(&**sights)
@@ -637,6 +608,7 @@ mod tests {
     use super::*;
     use crate::{
         grid::{
+            lanes::Portable,
             sweep::tests::half_circle,
             track::{Run, Sector},
             view::{HIT, Observation},
@@ -652,7 +624,7 @@ mod tests {
             self.begin(sweep);
             let rule = self.rule(sweep);
             self.record_hits(sweep, &rule);
-            self.view.prepare(0);
+            self.view.prepare::<Portable>(0);
             let side = (f64::from(SIDE - 1) * self.resolution) as f32;
             for number in 0..self.tiles.len() {
                 let place = self.tiles.place(number);
