@@ -19,6 +19,14 @@ impl Angle {
         Angle((rad * (f64::from(TURN) / TAU)).round() as i64 as u16)
     }
 
+    /// The nearest binary angle to the bearing of (x, y): [`Angle::from_rad`] of its `atan2`, which is asked only where less leaves a doubt.
+    pub fn of([x, y]: [f64; 2]) -> Angle {
+        let near = atan2(y as f32, x as f32) * (TURN as f32 / std::f32::consts::TAU);
+        let whole = nearest(near);
+        // Off by 0.04 units at most.
+        if (near - whole).abs() < 0.45 { Angle(whole as i32 as u16) } else { Angle::from_rad(y.atan2(x)) }
+    }
+
     /// The same where speed counts more than units: within one of it for bearings up to some hundred turns.
     #[inline(always)]
     pub fn from_bearing(rad: f32) -> Angle {
@@ -187,6 +195,9 @@ mod tests {
         for (x, y) in [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0), (2.0, 2.0), (0.0, 0.0)] {
             assert!((atan2(y, x) - y.atan2(x)).abs() <= 3e-6, "{x} {y}");
         }
+        for (x, y) in [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (-1.0, -0.0), (0.0, -1.0), (0.0, 0.0)] {
+            assert_eq!(Angle::of([x, y]), Angle::from_rad(f64::atan2(y, x)), "{x} {y}");
+        }
         assert_eq!([-2.5, -0.4, 0.4, 7.6].map(nearest), [-2.0, 0.0, 0.0, 8.0]);
     }
 
@@ -241,6 +252,14 @@ mod tests {
             prop_assert!((atan2(y, x) - y.atan2(x)).abs() <= 3e-6);
             let bearing = y.atan2(x) + turns as f32 * TAU as f32;
             prop_assert!(Angle::from_bearing(bearing).distance(Angle::from_rad(y.atan2(x).into())) <= 1);
+        }
+
+        #[test]
+        fn bearings_are_rounded_as_those_of_the_library(x in -30f64..30.0, y in -30f64..30.0, part in 0f64..1.0) {
+            prop_assert_eq!(Angle::of([x, y]), Angle::from_rad(y.atan2(x)));
+            // Around the middle between two units.
+            let (sin, cos) = ((x.to_bits() as u16 as f64 + 0.4 + 0.2 * part) / f64::from(TURN) * TAU).sin_cos();
+            prop_assert_eq!(Angle::of([cos, sin]), Angle::from_rad(sin.atan2(cos)));
         }
 
         #[test]

@@ -39,6 +39,10 @@ impl Rule {
     }
 }
 
+/// A second range of view angles tells of images if it is at least as wide (rad): 5 degrees. In narrower ones of an image, a gap of the
+/// surface decides.
+const TELLING: f64 = 0.087;
+
 /// A range of view angles and how far the sensor had driven when it was recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Visible {
@@ -194,8 +198,14 @@ impl Cell {
         [(f64::from(index.x) + x) * resolution, (f64::from(index.y) + y) * resolution]
     }
 
+    /// The second range, if it is wide enough to tell of images.
+    pub fn telling_too(&self) -> Option<&Visible> {
+        Some(&self.visible_too).filter(|too| too.way >= 0.0 && too.range.width_rad() >= TELLING)
+    }
+
     /// Numbers that are others as soon as anything is that the cell is judged by, all of it but when it was observed: the first tells of
-    /// where it is seen from and whether it has glinted, which is all that its lines of sight depend on, the second of the rest.
+    /// where it is seen from, as far as that tells of images, and whether it has glinted, which is all that its lines of sight depend on,
+    /// the second of the rest.
     pub fn fingerprints(&self) -> [u64; 2] {
         let Cell { returns, visible, visible_too, missed, seen_again } = self;
         let pair = |[a, b]: [u32; 2]| u64::from(a) << 32 | u64::from(b);
@@ -204,17 +214,21 @@ impl Cell {
         let counts =
             u32::from_le_bytes([returns.occupancy, returns.passes, returns.glints, u8::from(*seen_again)]);
         // Without a second range, its ends are no distance at all.
+        let too = |visible: &Visible| [floats(visible.ranges), u64::from(range(&visible.range))];
+        let [telling_ends, telling] = self.telling_too().map(too).unwrap_or_default();
+        let [ends_too, range_too] = too(visible_too);
         let seen_from = [
-            u64::from(returns.has_glinted()),
+            u64::from(returns.has_glinted()) << 32 | u64::from(range(&visible.range)),
             floats(visible.ranges),
-            floats(visible_too.ranges),
-            pair([range(&visible.range), range(&visible_too.range)]),
+            telling_ends,
+            telling,
         ];
         let rest = [
             floats(returns.centroid),
             floats(returns.hit_time),
             pair([range(missed), u32::from(returns.hits)]),
-            u64::from(counts),
+            u64::from(counts) << 32 | range_too,
+            ends_too,
         ];
         [print(&seen_from), print(&rest)]
     }

@@ -55,11 +55,13 @@ impl Cells {
     }
 
     /// The view angles of a cell.
+    #[inline(always)]
     pub fn track(&self, number: usize) -> Track {
         self.blocks[number / LANES].get(number % LANES)
     }
 
-    /// A cell.
+    /// A cell. As a part of who asks, what is not needed is not put together.
+    #[inline(always)]
     pub fn get(&self, number: usize) -> Cell {
         Cell::of(&self.returns[number], &self.track(number))
     }

@@ -16,7 +16,7 @@
 use super::{
     idea::Idea,
     mirrors::{Mirror, Mirrors},
-    reflection::{self, Image, Lookups, Opacity, ROUNDS, Sights, Sources, Spot},
+    reflection::{self, AllOpacity, Image, Lookups, Opacity, ROUNDS, Sights, Sources, Spot},
     squares::{CellsAround, CellsBySquare, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
@@ -279,7 +279,7 @@ impl Visagge {
 
     /// Tells which of these are images.
     fn judge_opacity(&mut self, round: usize, changes: &mut Changes) {
-        let mut opacity = Opacity::default();
+        let mut opacity = AllOpacity::default();
         for number in 0..self.tiles.len() {
             let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
             if changes.0[number].judged {
@@ -317,12 +317,14 @@ impl Visagge {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
             let shown = self.around(place, |evidence| &evidence.shown);
-            let cells = evidence.cells.iter().zip(&evidence.judgements);
-            let verdicts: Vec<Verdict> = cells
-                .map(|(cell, judgement)| {
+            let verdicts: Vec<Verdict> = evidence
+                .judgements
+                .iter()
+                .enumerate()
+                .map(|(at, judgement)| {
                     let is_beside = judgement.unthinned.is_shown()
                         && self.settings.has(Idea::Thin)
-                        && self.is_outweighed(cell.index(place), &cell, judgement, &shown);
+                        && self.is_outweighed((place, evidence), at, &shown);
                     if is_beside { Verdict::Beside } else { judgement.unthinned }
                 })
                 .collect();

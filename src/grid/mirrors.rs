@@ -16,6 +16,26 @@ pub struct Mirror {
     pub line: Line,
     /// The widest range from which it was continuously observed.
     pub visible: AngleRange,
+    /// Cosine and sine of the line's normal.
+    normal: [f64; 2],
+}
+
+impl Mirror {
+    /// A cell of a surface along this line, seen from there.
+    pub fn new(line: Line, visible: AngleRange) -> Mirror {
+        let (sin, cos) = f64::from(line.normal).sin_cos();
+        Mirror { line, visible, normal: [cos, sin] }
+    }
+
+    /// The mirror images of points (m).
+    pub fn reflect<const N: usize>(&self, points: [[f64; 2]; N]) -> [[f64; 2]; N] {
+        let [cos, sin] = self.normal;
+        let [x, y] = self.line.at.map(f64::from);
+        points.map(|point| {
+            let beyond = (point[0] - x) * cos + (point[1] - y) * sin;
+            [point[0] - 2.0 * beyond * cos, point[1] - 2.0 * beyond * sin]
+        })
+    }
 }
 
 /// A bit for each of some cells of a tile, a word a row.
@@ -84,7 +104,8 @@ impl Mirrors {
         });
         let images = |place| before.and_then(|before| Some(before.images[before.number(place)?]));
         let images = mirrors.iter().map(|(place, _)| images(*place).unwrap_or_default()).collect();
-        let mirrors = mirrors.into_iter().map(|(_, mirror)| mirror).collect();
+        let mirrors: Vec<Mirror> = mirrors.into_iter().map(|(_, mirror)| mirror).collect();
+        let mirrors = Vec::from(mirrors.into_boxed_slice());
         Some(Mirrors { mirrors, images, rows, before: counts, reflecting })
     }
 

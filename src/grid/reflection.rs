@@ -17,21 +17,19 @@ use super::{
     idea::Idea,
     mirrors::Mirror,
     squares::{CellsBySquare, Squares},
-    tiles::{CellIndex, SIDE, TileIndex, floor, whole},
+    tiles::{CellIndex, PlaceHasher, SIDE, TileIndex, floor_near, whole},
     visagge::{Evidence, Tile, Visagge, place_of},
 };
 use std::cell::LazyCell;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::f64::consts::SQRT_2;
+use std::hash::{BuildHasherDefault, Hash, Hasher};
 
 /// From which parts of the straight way from one end of the range of view angles to the other the line of sight is looked at, the
 /// most telling first. The very ends look past the edges of the surface that reflects, where a cell's error decides.
 const OBSERVERS: [f64; 5] = [0.5, 0.3, 0.7, 0.1, 0.9];
 /// How many of these need not be explained: surfaces are mapped with gaps.
 const GAPS: usize = 2;
-/// A second range of view angles must be explained too if it is at least as wide (rad): 5 degrees. In narrower ones of an
-/// image, a gap of the surface decides.
-const TELLING: f64 = 0.087;
 /// What is crossed this near to the cell is the surface that the cell is part of (m).
 const CLEAR_OF_CELL: f64 = 0.3;
 /// What is crossed this near to the sensor is the robot (m).
@@ -120,6 +118,13 @@ pub(super) struct Block {
     /// Its place modulo 2^16 blocks, which is 52 km.
     x: i16,
     y: i16,
+}
+
+impl Hash for Block {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        let Block { x, y } = *self;
+        state.write_i32(i32::from(x) << 16 | i32::from(y as u16));
+    }
 }
 
 impl Block {
@@ -240,24 +245,35 @@ impl Opacity {
         self.count(block, (explained, all));
     }
 
-    /// Counts what was counted elsewhere.
-    pub(super) fn add(&mut self, other: &Opacity) {
-        other.votes.iter().for_each(|(block, votes)| self.count(*block, *votes));
-    }
-
     fn count(&mut self, block: Block, (explained, all): (u32, u32)) {
         let votes = self.votes.entry(block).or_default();
         *votes = (votes.0 + explained, votes.1 + all);
     }
 
-    /// Those of the blocks counted in `of` whose surface reflects all that is seen through it.
-    pub(super) fn opaque(&self, of: &Opacity) -> Vec<Block> {
-        of.votes.keys().copied().filter(|block| self.is_opaque(*block)).collect()
-    }
-
     /// Memory beside itself (bytes), but for what the tree takes beside its entries.
     pub(super) fn bytes(&self) -> usize {
         self.votes.len() * size_of::<(Block, (u32, u32))>()
+    }
+}
+
+/// The same of all the map.
+#[derive(Debug, Default)]
+pub(super) struct AllOpacity {
+    votes: HashMap<Block, (u32, u32), BuildHasherDefault<PlaceHasher>>,
+}
+
+impl AllOpacity {
+    /// Counts what was counted in a tile.
+    pub(super) fn add(&mut self, of: &Opacity) {
+        for (block, (explained, all)) in &of.votes {
+            let votes = self.votes.entry(*block).or_default();
+            *votes = (votes.0 + explained, votes.1 + all);
+        }
+    }
+
+    /// Those of the blocks counted in `of` whose surface reflects all that is seen through it.
+    pub(super) fn opaque(&self, of: &Opacity) -> Vec<Block> {
+        of.votes.keys().copied().filter(|block| self.is_opaque(*block)).collect()
     }
 
     /// Whether the surface in the block, with its neighbours, reflects all that is seen through it.
@@ -283,9 +299,7 @@ pub(super) fn image(
     let index = cell.index(place);
     let at = |index: i32| (f64::from(index) + 0.5) * grid.resolution;
     let point = [at(index.x), at(index.y)];
-    let too = Some(&cell.visible_too).filter(|too| {
-        too.way >= 0.0 && too.range.width_rad() >= TELLING && grid.settings.has(Idea::SecondRange)
-    });
+    let too = cell.telling_too().filter(|_| grid.settings.has(Idea::SecondRange));
     let has_glinted = cell.returns.has_glinted();
     let mut image = Image::Yes;
     for (range, visible) in [Some(&cell.visible), too].into_iter().flatten().enumerate() {
@@ -294,7 +308,7 @@ pub(super) fn image(
         for (observer, part) in OBSERVERS.into_iter().enumerate() {
             let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
             let from = [point[0] + x, point[1] + y];
-            let sight = Sight { from, to: point, range: x.hypot(y), round, has_glinted };
+            let sight = Sight { from, to: point, range: (x * x + y * y).sqrt(), round, has_glinted };
             match explained(grid, &sight, lookups) {
                 Image::Yes => (),
                 _ if sights
@@ -377,7 +391,7 @@ impl Spot {
 pub(super) fn passes(grid: &Visagge, place: TileIndex, cell: &Cell, spots: &[Spot]) -> bool {
     let index = cell.index(place);
     let point = [index.x, index.y].map(|index| (f64::from(index) + 0.5) * grid.resolution);
-    [&cell.visible, &cell.visible_too].into_iter().filter(|visible| visible.way >= 0.0).any(|visible| {
+    [Some(&cell.visible), cell.telling_too()].into_iter().flatten().any(|visible| {
         let [from, to] = visible.ends();
         let is_near = |Spot { middle, radius }: &&Spot| {
             (0..2).all(|axis| {
@@ -385,11 +399,15 @@ pub(super) fn passes(grid: &Visagge, place: TileIndex, cell: &Cell, spots: &[Spo
                 (low - radius..=high + radius).contains(&(middle[axis] - point[axis]))
             })
         };
+        let ways = LazyCell::new(|| {
+            OBSERVERS.map(|part| {
+                let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
+                ([x, y], (x * x + y * y).sqrt())
+            })
+        });
         spots.iter().filter(is_near).any(|Spot { middle, radius }| {
             let [to_x, to_y] = [0, 1].map(|axis| middle[axis] - point[axis]);
-            OBSERVERS.iter().any(|part| {
-                let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
-                let range = x.hypot(y);
+            ways.iter().any(|([x, y], range)| {
                 let (along, across) = (to_x * x + to_y * y, to_x * y - to_y * x);
                 let beside = radius * range;
                 across.abs() <= beside && along >= -beside && along <= range * range + beside
@@ -417,37 +435,38 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
     let mut image = Image::No;
     let Sight { from: sensor, to: point, range, .. } = *sight;
     let Lookups { crossed, sought } = lookups;
-    let bearing = LazyCell::new(|| (sensor[1] - point[1]).atan2(sensor[0] - point[0]));
+    let view = [sensor[0] - point[0], sensor[1] - point[1]];
+    let seen_from = LazyCell::new(|| Angle::of(view));
     let near = |evidence: &'a Evidence| Some(evidence.mirrors.as_ref()?.near(sight.round));
     follow(grid, sight, crossed, near, |evidence, place, [column, row], distance| {
         let mirrors = evidence.mirrors.as_ref();
         let mirror = mirrors.and_then(|mirrors| mirrors.nearest(column, row, sight.round));
-        let Some(Mirror { line, visible }) = mirror else { return false };
-        let seen_from = Angle::from_rad(*bearing);
+        let Some(mirror @ Mirror { line, visible, .. }) = mirror else { return false };
         // What was always seen from this direction was not seen through.
-        let inside = visible.depth(AngleRange::at(seen_from), 0);
+        let inside = visible.depth(AngleRange::at(*seen_from), 0);
         if inside > units(INSIDE) as i32 {
             return false;
         }
         let block = Block::of(place.cell(column, row));
-        let [mirrored, image_of_sensor] = line.mirror([point, sensor]);
-        let distance_to = |[x, y]: [f64; 2]| (mirrored[0] - x).hypot(mirrored[1] - y);
+        let [mirrored, image_of_sensor] = mirror.reflect([point, sensor]);
+        let is_within = |reach: f64, [x, y]: [f64; 2]| {
+            (mirrored[0] - x).powi(2) + (mirrored[1] - y).powi(2) <= reach * reach
+        };
         let tolerance = (PLACE + 2.0 * DIRECTION * (range - distance)).min(WIDEST);
         // What lies in the plane of a mirror would be its own original.
-        if distance_to(point) <= SQRT_2 * tolerance {
+        if is_within(SQRT_2 * tolerance, point) {
             return false;
         }
-        let to_sensor = distance_to(sensor);
         // Where the original would be seen from.
         let seen_from = LazyCell::new(|| {
             let [x, y] = image_of_sensor;
-            Angle::from_rad((y - mirrored[1]).atan2(x - mirrored[0]))
+            Angle::of([x - mirrored[0], y - mirrored[1]])
         });
-        let explains =
-            to_sensor <= BODY + tolerance || grid.has_original(mirrored, || *seen_from, tolerance, sought);
+        let explains = is_within(BODY + tolerance, sensor)
+            || grid.has_original(mirrored, || *seen_from, tolerance, sought);
         let needed = (range / SEES).max(if sight.has_glinted { OF_GLINTS } else { 0.0 });
-        let by_glass =
-            || needed <= glass_reflects(line.off_normal(*bearing)) || !grid.settings.has(Idea::Fresnel);
+        let incidence = || line.off_normal(view[1].atan2(view[0]));
+        let by_glass = || needed <= glass_reflects(incidence()) || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
             (true, _) if by_glass() => Image::Yes,
             (true, _) => Image::IfOpaque(block),
@@ -557,7 +576,7 @@ impl Course {
 
     /// The tile that it is in there (m).
     fn tile(&self, distance: f64) -> TileIndex {
-        let [x, y] = self.at(distance).map(floor);
+        let [x, y] = self.at(distance).map(floor_near);
         CellIndex { x, y }.split().0
     }
 
@@ -671,9 +690,15 @@ impl Evidence {
 }
 
 impl Visagge {
+    /// The cell that holds a point, which is not far beyond the map (m).
+    fn cell_near(&self, point: [f64; 2]) -> CellIndex {
+        let [x, y] = point.map(|at| floor_near(at / self.resolution));
+        CellIndex { x, y }
+    }
+
     /// Whether a beam has crossed the point; `sought` takes in where that was looked up.
     fn is_crossed(&self, point: [f64; 2], sought: &mut Lookup) -> bool {
-        let (place, column, row) = CellIndex::of(point[0], point[1], self.resolution).split();
+        let (place, column, row) = self.cell_near(point).split();
         sought.tile(self, place).is_some_and(|tile| tile.free[row] >> column & 1 == 1)
     }
 
@@ -686,8 +711,8 @@ impl Visagge {
         distance: f64,
         sought: &mut Lookup,
     ) -> bool {
-        let low = CellIndex::of(point[0] - distance, point[1] - distance, self.resolution);
-        let high = CellIndex::of(point[0] + distance, point[1] + distance, self.resolution);
+        let low = self.cell_near(point.map(|at| at - distance));
+        let high = self.cell_near(point.map(|at| at + distance));
         let ((first, left, bottom), (last, right, top)) = (low.split(), high.split());
         (first.y..=last.y).any(|y| {
             let rows =
@@ -905,7 +930,11 @@ mod tests {
             (0..unknown).for_each(|_| opacity.vote(Image::Unknown(above)));
             opacity
         };
-        let is_image = |votes: &Opacity, image: Image| image.is_image(&votes.opaque(votes));
+        let is_image = |votes: &Opacity, image: Image| {
+            let mut all = AllOpacity::default();
+            all.add(votes);
+            image.is_image(&all.opaque(votes))
+        };
         let mirror = votes(80, 20, 300);
         assert!(is_image(&mirror, Image::IfOpaque(here)) && is_image(&mirror, Image::Unknown(above)));
         assert!(is_image(&mirror, Image::Unexplained(here)), "somebody who has moved on");

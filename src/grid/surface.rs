@@ -57,7 +57,7 @@ pub struct Line {
     pub length: f32,
     /// Share of what was seen from the same direction, there and up to 0.3 m before and behind it, that lies on it (0..1).
     pub share: f32,
-    /// Whether any of this has glinted.
+    /// Whether any of what lies on it has glinted.
     pub glints: bool,
 }
 
@@ -71,16 +71,6 @@ impl Line {
     pub fn off_normal(&self, seen_from: f64) -> f64 {
         let off = (f64::from(self.normal) - seen_from).rem_euclid(PI);
         off.min(PI - off)
-    }
-
-    /// The mirror images of points (m).
-    pub fn mirror<const N: usize>(&self, points: [[f64; 2]; N]) -> [[f64; 2]; N] {
-        let (sin, cos) = f64::from(self.normal).sin_cos();
-        let [x, y] = self.at.map(f64::from);
-        points.map(|point| {
-            let beyond = (point[0] - x) * cos + (point[1] - y) * sin;
-            [point[0] - 2.0 * beyond * cos, point[1] - 2.0 * beyond * sin]
-        })
     }
 }
 
@@ -202,29 +192,20 @@ impl Window {
         window
     }
 
-    /// The surface through a cell, from the cells around it that were seen from the same direction, give or take
-    /// `same_view` (units of [`Angle`]): the patch of 0.8 m, or more of it along the line as far as it stays flat. `reach` takes in
-    /// all cells that this depends on.
-    pub fn surface(&self, index: CellIndex, cell: &Cell, same_view: u32, reach: &mut Reach) -> Option<Line> {
+    /// What a surface through a cell may be made of. `reach` takes in all cells that this depends on.
+    pub fn patch(&self, index: CellIndex, cell: &Cell, reach: &mut Reach) -> Patch<'_> {
         self.reach_patch(index, reach);
         let origin = cell.returns_at(index, self.resolution);
         let seen_from = cell.visible.range.middle();
-        let (sin, cos) = seen_from.rad().sin_cos();
-        let mut moments = Moments::default();
-        self.near(index, seen_from, same_view, |neighbour| {
-            let to = [neighbour.at[0] - origin[0], neighbour.at[1] - origin[1]];
-            let (depth, across) = (to[0] * cos + to[1] * sin, to[1] * cos - to[0] * sin);
-            if depth.abs() <= PATCH_DEPTH && across.abs() <= PATCH_HALF {
-                moments.add(to, neighbour.weight);
+        let mut patch = Patch { window: self, origin, seen_from, numbers: [0; Patch::MOST], count: 0 };
+        for (first, count) in self.rows_around(index) {
+            for (number, cell) in (first..).zip(&self.cells[usize::from(first)..][..count]) {
+                // Without a branch: it would be guessed wrong too often.
+                patch.numbers[patch.count] = number;
+                patch.count += usize::from(cell.seen_from.distance(seen_from) <= units(OF_PILLAR));
             }
-        });
-        let patch = moments.line(origin)?;
-        let long = self
-            .lengthened(&patch, origin, seen_from, same_view, reach)
-            .filter(|long| long.is_flat() && long.length > patch.length);
-        let line = long.unwrap_or(patch);
-        // Of what is not flat it says nothing.
-        Some(if line.is_flat() { self.compared(line, index, seen_from) } else { line })
+        }
+        patch
     }
 
     /// Whether a cell has come with all that is around it: nearly nothing there had stood before a beam crossed it. Single cells of what
@@ -233,32 +214,14 @@ impl Window {
         self.reach_patch(index, reach);
         let origin = cell.returns_at(index, self.resolution);
         let (mut came, mut all) = (0.0, 0.0);
-        self.near(index, Angle(0), u32::MAX, |neighbour| {
+        let rows = self.rows_around(index);
+        rows.flat_map(|(first, count)| &self.cells[usize::from(first)..][..count]).for_each(|neighbour| {
             if (neighbour.at[0] - origin[0]).hypot(neighbour.at[1] - origin[1]) <= AROUND {
                 came += f64::from(u8::from(neighbour.was_crossed)) * neighbour.weight;
                 all += neighbour.weight;
             }
         });
         came > COME_AS_ONE * all
-    }
-
-    /// A line with its [`Line::share`] and [`Line::glints`].
-    fn compared(&self, line: Line, index: CellIndex, seen_from: Angle) -> Line {
-        let (sin, cos) = f64::from(line.normal).sin_cos();
-        let [x, y] = line.at.map(f64::from);
-        let (mut on, mut off, mut glints) = (0.0, 0.0, false);
-        self.near(index, seen_from, units(SAME_VIEW), |neighbour| {
-            let distance = ((neighbour.at[0] - x) * cos + (neighbour.at[1] - y) * sin).abs();
-            if distance <= ON_LINE {
-                on += neighbour.weight;
-                glints |= neighbour.glints;
-            } else if distance <= CLUTTER && !neighbour.is_solid {
-                off += neighbour.weight;
-            }
-        });
-        // Where its own cell is not on the line, there may be nothing at all.
-        let share = if on > 0.0 { (on / (on + off)) as f32 } else { 0.0 };
-        Line { share, glints, ..line }
     }
 
     /// The line through what lies along a patch, on both sides as far as the row does not break off.
@@ -314,7 +277,7 @@ impl Window {
         moments.line(origin)
     }
 
-    /// Takes in all cells that [`Window::near`] visits.
+    /// Takes in all cells of [`Window::rows_around`].
     fn reach_patch(&self, index: CellIndex, reach: &mut Reach) {
         let [x, y] = self.inside(index);
         reach.extend([x - PATCH, y - PATCH]);
@@ -333,20 +296,76 @@ impl Window {
         self.cells.get(usize::from(slot))
     }
 
-    /// Visits the cells around one of the tile's that were seen from about the same direction.
-    fn near(&self, index: CellIndex, seen_from: Angle, same_view: u32, mut visit: impl FnMut(&Neighbour)) {
+    /// The cells around one of the tile's: of each row the number of the first, and how many they are.
+    fn rows_around(&self, index: CellIndex) -> impl Iterator<Item = (u16, usize)> {
         // A tile's cells are farther from the window's border than that.
         let [left, bottom] = self.inside(index).map(|at| (at - PATCH) as usize);
-        for row in bottom..=bottom + 2 * PATCH as usize {
+        (bottom..=bottom + 2 * PATCH as usize).filter_map(move |row| {
             let cells = (self.rows[row] >> left) as u32 & ((2 << (2 * PATCH)) - 1);
-            if cells != 0 {
-                let first = self.slots[row * WINDOW as usize + left + cells.trailing_zeros() as usize];
-                let cells = &self.cells[usize::from(first)..][..cells.count_ones() as usize];
-                cells
-                    .iter()
-                    .filter(|cell| cell.seen_from.distance(seen_from) <= same_view)
-                    .for_each(&mut visit);
-            }
-        }
+            let first = || self.slots[row * WINDOW as usize + left + cells.trailing_zeros() as usize];
+            (cells != 0).then(|| (first(), cells.count_ones() as usize))
+        })
     }
+}
+
+/// The cells around one that were seen from about the same direction.
+pub struct Patch<'a> {
+    window: &'a Window,
+    /// Mean place of the returns in the cell that it is around (m).
+    origin: [f64; 2],
+    seen_from: Angle,
+    /// The first `count` of these.
+    numbers: [u16; Patch::MOST],
+    count: usize,
+}
+
+impl Patch<'_> {
+    /// One more than there are cells: what does not count is written as well.
+    const MOST: usize = ((2 * PATCH + 1) * (2 * PATCH + 1)) as usize + 1;
+
+    /// These cells, and how much those count that were seen from the same direction give or take `same_view` (units of [`Angle`]): without a
+    /// branch, since what counts nothing changes no sum.
+    fn cells(&self, same_view: u32) -> impl Iterator<Item = (&Neighbour, f64)> {
+        self.numbers[..self.count].iter().map(move |&number| {
+            let cell = &self.window.cells[usize::from(number)];
+            (cell, cell.weight * one_if(cell.seen_from.distance(self.seen_from) <= same_view))
+        })
+    }
+
+    /// The surface through the cell, from those that were seen from the same direction, give or take `same_view` (units of [`Angle`], no more
+    /// than [`OF_PILLAR`]): the patch of 0.8 m, or more of it along the line as far as it stays flat. How it [compares](Patch::compared) with all else is not told
+    /// yet. `reach` takes in all cells that this depends on.
+    pub fn surface(&self, same_view: u32, reach: &mut Reach) -> Option<Line> {
+        let (sin, cos) = self.seen_from.rad().sin_cos();
+        let mut moments = Moments::default();
+        for (cell, weight) in self.cells(same_view) {
+            let to = [cell.at[0] - self.origin[0], cell.at[1] - self.origin[1]];
+            let (depth, across) = (to[0] * cos + to[1] * sin, to[1] * cos - to[0] * sin);
+            moments.add(to, weight * one_if(depth.abs() <= PATCH_DEPTH && across.abs() <= PATCH_HALF));
+        }
+        let patch = moments.line(self.origin)?;
+        let long = self.window.lengthened(&patch, self.origin, self.seen_from, same_view, reach);
+        let long = long.filter(|long| long.is_flat() && long.length > patch.length);
+        Some(long.unwrap_or(patch))
+    }
+
+    /// The same line with [`Line::share`] and [`Line::glints`].
+    pub fn compared(&self, line: Line) -> Line {
+        let (sin, cos) = f64::from(line.normal).sin_cos();
+        let [x, y] = line.at.map(f64::from);
+        let (mut on, mut off, mut glints) = (0.0, 0.0, false);
+        for (cell, weight) in self.cells(units(SAME_VIEW)) {
+            let distance = ((cell.at[0] - x) * cos + (cell.at[1] - y) * sin).abs();
+            let is_on = distance <= ON_LINE;
+            on += weight * one_if(is_on);
+            glints |= is_on && weight > 0.0 && cell.glints;
+            off += weight * one_if(!is_on && distance <= CLUTTER && !cell.is_solid);
+        }
+        // Where its own cell is not on the line, there may be nothing at all.
+        Line { share: if on > 0.0 { (on / (on + off)) as f32 } else { 0.0 }, glints, ..line }
+    }
+}
+
+fn one_if(holds: bool) -> f64 {
+    f64::from(u8::from(holds))
 }

@@ -38,11 +38,19 @@ pub(super) fn floor(number: f64) -> i32 {
     whole.saturating_sub(i32::from(f64::from(whole) > number))
 }
 
+/// In `f64`, neighbours of 1.5 x 2^52 are whole numbers.
+const ROUNDER: f64 = (3u64 << 51) as f64;
+
 /// The nearest whole number, for numbers below 2^51: the addition rounds. Beyond it is any.
 pub(super) fn whole(number: f64) -> i64 {
     // The whole number stands in the low bits, negative ones as their two's complement.
-    const ROUNDER: f64 = (3u64 << 51) as f64;
     (number + ROUNDER).to_bits().wrapping_sub(ROUNDER.to_bits()) as i64
+}
+
+/// The same as [`floor`] for numbers below 2^31, without minding what no integer can be. Beyond it is any.
+pub(super) fn floor_near(number: f64) -> i32 {
+    let is_above = (number + ROUNDER) - ROUNDER > number;
+    (whole(number) - i64::from(is_above)) as i32
 }
 
 /// Place of a tile: its lower left cell is at 64 times these.
@@ -64,7 +72,7 @@ impl TileIndex {
 /// Hashes places by a multiplication for each number: they come from no adversary, and the standard
 /// library's hash costs as much as all else that is done to find a tile.
 #[derive(Clone, Copy, Debug, Default)]
-struct PlaceHasher(u64);
+pub(super) struct PlaceHasher(u64);
 
 impl Hasher for PlaceHasher {
     fn write(&mut self, bytes: &[u8]) {
@@ -232,6 +240,12 @@ mod tests {
             assert_eq!(places.map(|place| tiles.find(place)), [Some(0), Some(1), Some(2), Some(3)]);
         }
         assert_eq!(tiles.len(), 4);
+    }
+
+    #[test]
+    fn numbers_are_rounded_down_alike() {
+        let numbers = [0.0, -0.0, 0.5, 1.5, 2.5, -0.5, -1.5, -1.0, 3.0, 0.999_999_999_999, -1e-12, 2e9, -2e9];
+        numbers.into_iter().for_each(|number| assert_eq!(floor_near(number), floor(number), "{number}"));
     }
 
     #[test]

@@ -211,6 +211,7 @@ impl Track {
     }
 
     /// `visible` and `visible_too`, in metres.
+    #[inline(always)]
     pub fn visibles(&self) -> [Visible; 2] {
         let visible = |sector: &Sector, way: f32| Visible {
             range: sector.range,
@@ -272,6 +273,7 @@ pub struct Block {
 
 impl Block {
     /// One cell's part.
+    #[inline(always)]
     pub fn get(&self, lane: usize) -> Track {
         Track {
             place: self.place[lane],

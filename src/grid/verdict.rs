@@ -15,12 +15,12 @@ use super::{
     angle::units,
     cell::{Cell, Returns},
     idea::Idea,
-    judge::{Judgement, Shape},
+    judge::Shape,
     mirrors::Mirror,
     squares::{CellsAround, Reach},
     surface::{Line, OF_PILLAR, OF_PLANE, Window},
-    tiles::CellIndex,
-    visagge::{Visagge, VisaggeSettings},
+    tiles::{CellIndex, TileIndex},
+    visagge::{Evidence, Visagge, VisaggeSettings},
 };
 use std::f64::consts::SQRT_2;
 
@@ -121,32 +121,48 @@ pub(super) fn is_in_gap(cell: [u8; 2], shown: &CellsAround) -> bool {
 /// The step from a cell to the one behind it: across the row, column or diagonal in which most of its neighbours are `shown`. It is
 /// not the direction of view, which runs along a wall at grazing incidence; only of rows alike, it says which.
 fn across(cell: &Cell, shown: &CellsAround) -> (i32, i32) {
-    let (sin, cos) = cell.visible.range.middle().rad().sin_cos();
     let near = shown.near(cell.returns.place);
     let rows = [(1, 0, 1.0), (1, 1, SQRT_2), (0, 1, 1.0), (-1, 1, SQRT_2)].map(|(x, y, length)| {
         let count = [-3, -2, -1, 1, 2, 3].map(|step| near[(3 + y * step) as usize] >> (3 + x * step) & 1);
         let count: u8 = count.into_iter().sum();
-        let along = f64::from(x) * cos + f64::from(y) * sin;
-        let across_view = 1.0 - (along / length).abs();
-        (f64::from(count) + across_view.min(0.999), (x, y))
+        (count, (x, y, length))
     });
-    let (_, (x, y)) = rows.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)).expect("there are four");
+    let most = rows.iter().map(|(count, _)| *count).max().unwrap_or_default();
+    let mut alike = rows.into_iter().filter(|(count, _)| *count == most);
+    let (x, y) = match (alike.next(), alike.next()) {
+        (Some((_, (x, y, _))), None) => (x, y),
+        _ => {
+            let (sin, cos) = cell.visible.range.middle().rad().sin_cos();
+            let across_view = |(_, (x, y, length)): &(u8, (i32, i32, f64))| {
+                let along = f64::from(*x) * cos + f64::from(*y) * sin;
+                f64::from(most) + (1.0 - (along / length).abs()).min(0.999)
+            };
+            let alike = rows.into_iter().filter(|(count, _)| *count == most);
+            let most = alike.max_by(|a, b| across_view(a).total_cmp(&across_view(b)));
+            most.map(|(_, (x, y, _))| (x, y)).expect("there are two")
+        }
+    };
     (-y, x)
 }
 
 impl Visagge {
-    /// Whether a cell that is shown, right before or behind this one, got clearly more returns.
+    /// Whether a cell that is shown, right before or behind the one with this number in a tile, got clearly more returns.
     pub(super) fn is_outweighed(
         &self,
-        index: CellIndex,
-        cell: &Cell,
-        judgement: &Judgement,
+        (tile, evidence): (TileIndex, &Evidence),
+        number: usize,
         shown: &CellsAround,
     ) -> bool {
-        let (x, y) = across(cell, shown);
+        let (cell, judgement) = (evidence.cells.get(number), &evidence.judgements[number]);
+        let index = cell.index(tile);
+        let (x, y) = across(&cell, shown);
         [-2, -1, 1, 2].into_iter().any(|steps| {
             let (place, column, row) = CellIndex { x: index.x + steps * x, y: index.y + steps * y }.split();
-            let evidence = self.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
+            let evidence = if place == tile {
+                Some(evidence)
+            } else {
+                self.tiles.get(place).and_then(|tile| tile.evidence.as_deref())
+            };
             evidence.and_then(|evidence| evidence.at(column, row)).is_some_and(|(other, judged)| {
                 let (more, less) = (f32::from(other.hits), f32::from(cell.returns.hits));
                 // Two standard deviations of counts. A pane has few returns, and nothing stands right behind it that would be lost.
@@ -175,18 +191,24 @@ impl Visagge {
         let matters =
             cell.returns.occupancy >= LEAST_HITS && (!alone.is_shown() || is_seen_through || has_come);
         let line = if matters {
-            let window = window();
-            let plane = window.surface(index, cell, units(OF_PLANE), &mut reach);
+            let patch = window().patch(index, cell, &mut reach);
+            let surface = |same_view: u32, reach: &mut Reach| {
+                let line = patch.surface(same_view, reach)?;
+                // Where all else speaks against it already, what is on it does not matter.
+                let may_explain = explains(&Line { share: 1.0, glints: true, ..line }, cell, settings);
+                Some(if may_explain { patch.compared(line) } else { line })
+            };
+            let plane = surface(units(OF_PLANE), &mut reach);
             plane
                 .filter(|line| explains(line, cell, settings) && settings.has(Idea::PlanesFirst))
-                .or_else(|| window.surface(index, cell, units(OF_PILLAR), &mut reach))
+                .or_else(|| surface(units(OF_PILLAR), &mut reach))
         } else {
             None
         };
         let verdict = shape(cell, line.as_ref(), has_come, settings);
         let mirror = line
             .filter(|line| verdict.is_shown() && is_seen_through && line.is_flat())
-            .map(|line| Mirror { line, visible: cell.visible.range });
+            .map(|line| Mirror::new(line, cell.visible.range));
         Shape { verdict, mirror, reach }
     }
 }
