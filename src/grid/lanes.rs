@@ -109,8 +109,9 @@ impl Path for Portable {
 /// From a beam on.
 #[inline(always)]
 fn cross_from(first: usize, around: &Around, crossings: &mut [Crossing]) {
-    for (beam, crossing) in crossings.iter_mut().enumerate().skip(first) {
-        *crossing = around.crossing(beam);
+    let (around, crossings) = (around.between(first, crossings.len()), &mut crossings[first..]);
+    for (beam, crossing) in crossings.iter_mut().enumerate() {
+        around.cross(beam, crossing);
     }
 }
 
@@ -198,7 +199,7 @@ mod avx2 {
     /// Sixteen numbers of 16 bits.
     type Words = __m256i;
 
-    /// `Around::crossing` of sixteen beams at a time. What the compiler makes of the four numbers side by side takes three times as many shuffles.
+    /// [`Around::cross`] of sixteen beams at a time. What the compiler makes of the four numbers side by side takes three times as many shuffles.
     #[target_feature(enable = "avx2,bmi2,lzcnt")]
     #[inline]
     fn cross(around: &Around, crossings: &mut [Crossing]) {

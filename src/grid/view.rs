@@ -156,19 +156,33 @@ pub(super) struct Around<'a> {
     pub empty: [&'a [i16]; 2],
 }
 
-impl Around<'_> {
-    /// What crosses a cell near this beam. `lanes` does the same.
+impl<'a> Around<'a> {
+    /// That of the beams from one on to before another: as many as are asked for, so that nothing need be checked beam by beam.
     #[inline(always)]
-    pub fn crossing(&self, beam: usize) -> Crossing {
+    pub fn between(&self, first: usize, end: usize) -> Self {
+        let cut = |beams: &'a [i16]| &beams[first..end];
+        let &Around { own, low: [low_a, low_b], high: [high_a, high_b], clear: [clear_a, clear_b], empty } =
+            self;
+        Around {
+            own: cut(own),
+            low: [cut(low_a), cut(low_b)],
+            high: [cut(high_a), cut(high_b)],
+            clear: [cut(clear_a), cut(clear_b)],
+            empty: [cut(empty[0]), cut(empty[1])],
+        }
+    }
+
+    /// Writes down what crosses a cell near this beam, number by number: put together, they would be a word of 64 bits, of which only
+    /// two are worked out at a time. `lanes` does the same.
+    #[inline(always)]
+    pub fn cross(&self, beam: usize, crossing: &mut Crossing) {
         let Around { own, low, high, clear, empty } = self;
         let clear = clear[0][beam].min(clear[1][beam]);
         let empty = empty[0][beam].min(empty[1][beam]);
-        Crossing {
-            returned: if own[beam] == 0 { FARTHEST } else { own[beam] },
-            low: low[0][beam].min(low[1][beam]),
-            high: high[0][beam].max(high[1][beam]),
-            empty: if clear < empty { empty | SILENT } else { empty },
-        }
+        crossing.returned = if own[beam] == 0 { FARTHEST } else { own[beam] };
+        crossing.low = low[0][beam].min(low[1][beam]);
+        crossing.high = high[0][beam].max(high[1][beam]);
+        crossing.empty = if clear < empty { empty | SILENT } else { empty };
     }
 }
 
@@ -315,7 +329,7 @@ impl View {
             let beams = 2 * half + 1;
             let (level, first) = (beams.ilog2() as usize, PAD - half);
             let second = first + beams - (1 << level);
-            (level, [first..first + count, second..second + count])
+            (level, first..first + count, second..second + count)
         };
         for level in self.doubled + 1..=windows(band.wide).0 {
             double(&mut self.clear, level, i16::min);
@@ -323,13 +337,14 @@ impl View {
             double(&mut self.peak, level, i16::max);
             self.doubled = level;
         }
-        let (narrow, wide) = (windows(band.narrow), windows(band.wide));
+        let (narrow, a, b) = windows(band.narrow);
+        let (wide, wide_a, wide_b) = windows(band.wide);
         let around = Around {
             own: &self.clear[0][PAD..PAD + count],
-            low: narrow.1.clone().map(|beams| &self.clear[narrow.0][beams]),
-            high: narrow.1.map(|beams| &self.peak[narrow.0][beams]),
-            clear: wide.1.clone().map(|beams| &self.clear[wide.0][beams]),
-            empty: wide.1.map(|beams| &self.empty[wide.0][beams]),
+            low: [&self.clear[narrow][a.clone()], &self.clear[narrow][b.clone()]],
+            high: [&self.peak[narrow][a], &self.peak[narrow][b]],
+            clear: [&self.clear[wide][wide_a.clone()], &self.clear[wide][wide_b.clone()]],
+            empty: [&self.empty[wide][wide_a], &self.empty[wide][wide_b]],
         };
         P::cross(&around, &mut self.crossings[number * count..][..count]);
     }
