@@ -12,7 +12,7 @@ use super::{
 /// The rule of the core algorithm, in numbers.
 #[derive(Clone, Copy, Debug)]
 pub struct Rule {
-    /// Occupancy that a contradiction takes; a hit adds one.
+    /// Occupancy that a contradiction takes for each scan; a hit adds one.
     pub contradiction: u8,
     /// Occupancy is not counted beyond this.
     pub cap: u8,
@@ -148,11 +148,15 @@ impl Returns {
     }
 
     /// Takes over what a scan has brought about; where the occupancy is 0 then, the cell must be removed (core step 5).
-    pub fn record(&mut self, event: Event, rule: &Rule) {
+    /// A look stands for all `scans` since the one before, each of which may have hit it.
+    pub fn record(&mut self, event: Event, scans: u16, rule: &Rule) {
         match event {
             Event::None => (),
             Event::Pass => self.passes = self.passes.saturating_add(1),
-            Event::Contradiction => self.occupancy = self.occupancy.saturating_sub(rule.contradiction),
+            Event::Contradiction => {
+                let taken = u16::from(rule.contradiction).saturating_mul(scans);
+                self.occupancy = self.occupancy.saturating_sub(taken.min(u16::from(u8::MAX)) as u8);
+            }
         }
     }
 }

@@ -357,7 +357,7 @@ mod tests {
             let observation = if seen { Observation::Seen } else { Observation::Missed };
             self.cell.occupancy += u8::from(seen);
             let event = self.track.record(observation, &look, 1, &RULE);
-            self.cell.record(event, &RULE);
+            self.cell.record(event, 1, &RULE);
             event == Event::Contradiction
         }
 

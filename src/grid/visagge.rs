@@ -47,7 +47,7 @@ pub struct VisaggeSettings {
     /// Up to this distance a beam without return is known to have met nothing (m, 0..30). At 5 m a
     /// scanner that sees an albedo of 0.9 at 30 m still sees one of 0.025.
     pub no_return_range: f64,
-    /// Occupancy that a contradiction takes, where a hit adds 1 (1..100).
+    /// Occupancy that a contradiction takes for each scan since the last look, where a hit adds 1 (1..100).
     pub contradiction: u8,
     /// Occupancy is not counted beyond this (1..200).
     pub occupancy_cap: u8,
@@ -525,7 +525,7 @@ impl Visagge {
             for ((block, returns), sights) in blocks.iter_mut().zip(returns.chunks_mut(LANES)).zip(&**sights)
             {
                 P::record(&glance, block, sights, returns.len(), |lane, event| {
-                    returns[lane].record(event, rule);
+                    returns[lane].record(event, scans, rule);
                     removed |= returns[lane].occupancy == 0;
                 });
             }
