@@ -377,6 +377,16 @@ mod tests {
     }
 
     #[test]
+    fn a_contradiction_takes_as_much_as_the_scans_that_it_stands_for_may_have_added() {
+        let left = |scans: u16| {
+            let mut cell = Returns { occupancy: 30, ..Returns::new([0, 0], false) };
+            cell.record(Event::Contradiction, scans, &RULE);
+            cell.occupancy
+        };
+        assert_eq!([1, 4, 6, u16::MAX].map(left), [25, 10, 0, 0]);
+    }
+
+    #[test]
     fn a_pane_seen_near_its_normal_survives_every_other_view() {
         let mut drive = Drive::new(0.0);
         assert_eq!(drive.pass(0, 40, 0..=2), 0);

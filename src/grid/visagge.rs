@@ -650,7 +650,7 @@ mod tests {
                     } else {
                         self.view.observe(&sight, || track.would_return(sight.range))
                     };
-                    returns.record(track.record(observation, &look, scans, &rule), &rule);
+                    returns.record(track.record(observation, &look, scans, &rule), scans, &rule);
                     evidence.cells.blocks[number / LANES].set(number % LANES, track);
                 }
                 evidence.retain(|returns| returns.occupancy > 0);
