@@ -521,6 +521,7 @@ fn follow<'a>(
         let place = course.tile(distance);
         let course = course.inside(place);
         let leaves = course.leaves(f64::from(SIDE));
+        let entered = distance;
         let evidence = crossed.tile(grid, place).and_then(|tile| tile.evidence.as_deref());
         let Some((evidence, cells)) = evidence.and_then(|evidence| Some((evidence, cells(evidence)?))) else {
             distance = leaves.max(distance) + step / 8.0;
@@ -547,7 +548,8 @@ fn follow<'a>(
             }
         }
         distance += leap(distance, leaves);
-        if course.is_inside(distance) {
+        // On a border, rounding may tell that it is in this tile and, in the tile's own columns and rows, that it is not.
+        if course.is_inside(distance) || distance == entered {
             distance += step;
         }
     }
