@@ -316,6 +316,31 @@ mod tests {
     }
 
     #[test]
+    fn what_could_have_glinted_and_has_not_is_broader_than_anybody() {
+        let is_surface = |length: f32, was_told: bool, glints: bool| {
+            let line = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length, share: 1.0, glints };
+            let returns = Returns { was_told, ..Returns::new([0, 0], true) };
+            explains(&line, &Cell::of(&returns, &Track::default()), &VisaggeSettings::default())
+        };
+        assert!(!is_surface(0.4, true, false), "somebody's legs");
+        assert!(is_surface(0.4, true, true));
+        assert!(is_surface(0.4, false, false), "without intensities");
+        assert!(is_surface(0.6, true, false), "a pane that leans");
+    }
+
+    #[test]
+    fn who_has_come_out_of_silence_is_solid_once_he_was_seen_for_longer() {
+        let is_solid = |was_passed: bool, lasted: f32| {
+            let mut returns = Returns { was_passed, ..Returns::new([0, 0], false) };
+            returns.hit_time = [0.0, lasted];
+            is_solid(&Cell::of(&returns, &Track::default()), &VisaggeSettings::default())
+        };
+        assert!(is_solid(false, 0.2));
+        assert!(!is_solid(true, 0.2));
+        assert!(is_solid(true, 1.2));
+    }
+
+    #[test]
     fn what_is_missed_to_the_end_where_it_would_return_has_gone() {
         let box_ = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0, glints: false };
         let missed = |from: f64, seen_again| {
