@@ -762,6 +762,45 @@ mod tests {
         is_missed: bool,
     }
 
+    #[test]
+    fn a_line_of_sight_ends_wherever_it_crosses_from_tile_to_tile() {
+        let mut grid = Visagge::new(CELL, VisaggeSettings::default());
+        for x in -24..24 {
+            let number = grid.tiles.find_or_make(TileIndex { x, y: 0 });
+            grid.tiles.at_mut(number).evidence.get_or_insert_default();
+        }
+        fn walls(evidence: &Evidence) -> Option<&CellsBySquare> {
+            Some(&evidence.walls)
+        }
+        // Steps end on a border, give or take what rounding does.
+        for tile in -20..20 {
+            for (steps, way) in (0..400).flat_map(|steps| [(steps, 1.0), (steps, -1.0)]) {
+                let border = f64::from(tile * SIDE) * CELL;
+                let start = border - way * (CLEAR_OF_SENSOR + f64::from(steps) * CELL / 2.0);
+                let sight = Sight {
+                    from: [start, 1.0],
+                    to: [start + way * 12.0, 1.0 + 1e-9],
+                    range: 12.0,
+                    round: 0,
+                    has_glinted: false,
+                };
+                let looked = std::cell::Cell::new(0);
+                let cells = |evidence| {
+                    looked.set(looked.get() + 1);
+                    assert!(looked.get() < 100, "from {start} m");
+                    walls(evidence)
+                };
+                assert!(!follow(
+                    &grid,
+                    &sight,
+                    &mut Lookups::from(Sources::default()).crossed,
+                    cells,
+                    |_, _, _, _| false
+                ));
+            }
+        }
+    }
+
     const CELL: f64 = 0.05;
 
     /// Puts the cells of a row in, or has them observed in another way.
