@@ -104,8 +104,9 @@ impl Mirrors {
         });
         let images = |place| before.and_then(|before| Some(before.images[before.number(place)?]));
         let images = mirrors.iter().map(|(place, _)| images(*place).unwrap_or_default()).collect();
-        let mirrors: Vec<Mirror> = mirrors.into_iter().map(|(_, mirror)| mirror).collect();
-        let mirrors = Vec::from(mirrors.into_boxed_slice());
+        // Collected in place, where there was room for the places too.
+        let mut mirrors: Vec<Mirror> = mirrors.into_iter().map(|(_, mirror)| mirror).collect();
+        mirrors.shrink_to_fit();
         Some(Mirrors { mirrors, images, rows, before: counts, reflecting })
     }
 

@@ -124,7 +124,7 @@ struct Neighbour {
     was_crossed: bool,
     /// Whether it was hardly ever missed: what stands behind a pane, not somebody's other leg.
     is_solid: bool,
-    /// Whether it has ever glinted. Random readings are seldom near a glint.
+    /// Whether it has ever glinted: once is enough, far away a cell is met at its normal in a scan or two.
     glints: bool,
 }
 
