@@ -42,8 +42,8 @@ const BODY: f64 = 0.6;
 const PLACE: f64 = 0.1;
 /// How exactly the direction of the reflecting surface is known (rad).
 const DIRECTION: f64 = 0.02;
-/// A surface that was always seen from within this of a direction (rad) was not seen through. 3 degrees: the error of a view
-/// angle at 1 m.
+/// Through a surface that is seen from farther than this to both sides of a direction (rad) nothing is seen that stands behind it, though an
+/// image in it, of metal or dust, may be brighter now and then. 3 degrees: the error of a view angle at 1 m.
 const INSIDE: f64 = 0.05;
 /// Widest search around the mirrored point (m).
 const WIDEST: f64 = 0.3;
@@ -442,11 +442,6 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
         let mirrors = evidence.mirrors.as_ref();
         let mirror = mirrors.and_then(|mirrors| mirrors.nearest(column, row, sight.round));
         let Some(mirror @ Mirror { line, visible, .. }) = mirror else { return false };
-        // What was always seen from this direction was not seen through.
-        let inside = visible.depth(AngleRange::at(*seen_from), 0);
-        if inside > units(INSIDE) as i32 {
-            return false;
-        }
         let block = Block::of(place.cell(column, row));
         let [mirrored, image_of_sensor] = mirror.reflect([point, sensor]);
         let is_within = |reach: f64, [x, y]: [f64; 2]| {
@@ -458,12 +453,16 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
             return false;
         }
         // Where the original would be seen from.
-        let seen_from = LazyCell::new(|| {
+        let original_from = LazyCell::new(|| {
             let [x, y] = image_of_sensor;
             Angle::of([x - mirrored[0], y - mirrored[1]])
         });
         let explains = is_within(BODY + tolerance, sensor)
-            || grid.has_original(mirrored, || *seen_from, tolerance, sought);
+            || grid.has_original(mirrored, || *original_from, tolerance, sought);
+        // What is seen where the surface would hide it says nothing against the surface.
+        if !explains && visible.depth(AngleRange::at(*seen_from), 0) > units(INSIDE) as i32 {
+            return false;
+        }
         let needed = (range / SEES).max(if sight.has_glinted { OF_GLINTS } else { 0.0 });
         let incidence = || line.off_normal(view[1].atan2(view[0]));
         let by_glass = || needed <= glass_reflects(incidence()) || !grid.settings.has(Idea::Fresnel);
@@ -873,6 +872,15 @@ mod tests {
         let [mirror, _, image] = mirror();
         // Without anything that it could be the image of, and with no beam where that would stand: nothing is known.
         assert_eq!(verdicts(&[mirror, image], [points[0], points[2]]), [Verdict::Surface; 2]);
+    }
+
+    #[test]
+    fn what_metal_shows_is_an_image_though_the_metal_is_seen_from_there_too() {
+        let [mirror, original, image] = mirror();
+        let metal = Row { bearings: [-130.0, -50.0], ..mirror };
+        let seen = |rows: &[Row]| verdicts(rows, [[1.01, 2.01], [1.01, 3.01]]);
+        assert_eq!(seen(&[metal.clone(), original, image.clone()]), [Verdict::Surface, Verdict::Image]);
+        assert_eq!(seen(&[metal, image]), [Verdict::Surface; 2]);
     }
 
     #[test]

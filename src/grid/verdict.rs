@@ -87,6 +87,9 @@ const STRAIGHT: f32 = 0.02;
 /// Something is seen through a surface, or in it, that was missed over at least this range (rad): 1 degree. Less is a
 /// wall at grazing incidence.
 pub(super) const SEEN_THROUGH: f64 = 0.02;
+/// Or that has glinted at least once in so many scans that it was seen in: dust and metal are seen over tens of degrees, and beyond may
+/// return nothing from anywhere. Random readings come once in a thousand beams (paper III-B), of which a scan has some in a cell.
+const HITS_A_GLINT: u16 = 64;
 /// What is shown on both sides of a gap must begin within this many cells: a quarter of a metre, less than half a
 /// door or a person's width.
 const GAP: i32 = 5;
@@ -185,7 +188,7 @@ impl Visagge {
         let settings = &self.settings;
         // Of what is shown in any case and nothing is seen through, the surface does not matter.
         let alone = shape(cell, None, false, settings);
-        let is_seen_through = u32::from(cell.missed.width) >= units(SEEN_THROUGH);
+        let is_seen_through = is_seen_through(cell);
         let mut reach = Reach::at(cell.returns.place);
         let may_go = alone == Verdict::Solid && cell.returns.was_crossed && cell.lasted() < STAYING;
         let has_come = may_go && settings.has(Idea::Visitors) && window().has_come(index, cell, &mut reach);
@@ -223,6 +226,13 @@ pub(super) fn is_solid(cell: &Cell, settings: &VisaggeSettings) -> bool {
             || width >= units(WIDE)
             || cell.lasted() >= LASTING
             || !settings.has(Idea::Newcomers))
+}
+
+/// Whether something may be seen through the cell, or in it.
+fn is_seen_through(cell: &Cell) -> bool {
+    let Returns { glints, hits, .. } = cell.returns;
+    let glints_often = u16::from(glints) >= (hits / HITS_A_GLINT).clamp(1, u8::MAX.into());
+    u32::from(cell.missed.width) >= units(SEEN_THROUGH) || glints_often
 }
 
 /// Whether a surface along this line would be seen from where the cell was seen, and hardly from elsewhere.
@@ -341,6 +351,21 @@ mod tests {
         assert!(!is_surface(12.0, true, false), "the image of a wall");
         assert!(is_surface(12.0, true, true), "dust");
         assert!(is_surface(12.0, false, false), "without intensities");
+    }
+
+    #[test]
+    fn what_is_missed_or_glints_may_show_something_else() {
+        let shows = |missed: f64, glints: u8, hits: u16| {
+            let mut cell =
+                Cell::of(&Returns { glints, hits, ..Returns::new([0, 0], false) }, &Track::default());
+            cell.missed.width = units(missed.to_radians()) as u16;
+            is_seen_through(&cell)
+        };
+        assert!(!shows(0.0, 0, 900));
+        assert!(shows(3.0, 0, 900));
+        assert!(shows(0.0, 2, 60), "dust, seen from all along the pane");
+        assert!(!shows(0.0, 2, 900), "random readings");
+        assert!(shows(0.0, u8::MAX, u16::MAX), "as many as are counted");
     }
 
     #[test]
