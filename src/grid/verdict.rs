@@ -76,8 +76,7 @@ const LEAST_SHARE: f32 = 0.85;
 /// 2 cm is uncertain by 4 degrees.
 const OFF_SHORT: [f64; 2] = [0.14, 0.087];
 /// The same for surfaces too long and straight to be anybody's legs: 21 and 15 degrees. Dust is seen over tens of degrees
-/// (paper, Fig. 6) on both sides of the normal, where the robot's own image and what is behind outshine it. Not where none of it
-/// has glinted though glints could be told: images of walls are as long, and seen from anywhere.
+/// (paper, Fig. 6) on both sides of the normal, where the robot's own image and what is behind outshine it.
 const OFF_LONG: [f64; 2] = [0.36, 0.26];
 /// A surface is long from here on (m): what somebody walks in a second.
 const LONG: f32 = 1.2;
@@ -239,9 +238,9 @@ fn is_seen_through(cell: &Cell) -> bool {
 fn explains(line: &Line, cell: &Cell, settings: &VisaggeSettings) -> bool {
     let off = line.off_normal(cell.visible.range.middle().rad());
     let beyond = off - cell.visible.range.width_rad() / 2.0;
-    let is_dull = cell.returns.was_told && !line.glints && settings.has(Idea::Dull);
-    let is_long = line.length >= LONG && line.rms <= STRAIGHT && !is_dull && settings.has(Idea::LongSurfaces);
+    let is_long = line.length >= LONG && line.rms <= STRAIGHT && settings.has(Idea::LongSurfaces);
     let [most, most_beyond] = if is_long { OFF_LONG } else { OFF_SHORT };
+    let is_dull = cell.returns.was_told && !line.glints && settings.has(Idea::Dull);
     line.length >= if is_dull { LEAST_DULL } else { LEAST_LENGTH }
         && line.is_flat()
         && (line.share >= LEAST_SHARE || !settings.has(Idea::Clutter))
@@ -337,20 +336,6 @@ mod tests {
         assert!(is_surface(0.4, true, true));
         assert!(is_surface(0.4, false, false), "without intensities");
         assert!(is_surface(0.6, true, false), "a pane that leans");
-    }
-
-    #[test]
-    fn a_long_surface_that_could_have_glinted_and_has_not_is_seen_about_its_normal_only() {
-        let is_surface = |degrees: f64, was_told: bool, glints: bool| {
-            let line = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 2.0, share: 1.0, glints };
-            let mut cell = Cell::of(&Returns { was_told, ..Returns::new([0, 0], true) }, &Track::default());
-            cell.visible.range = AngleRange::at(Angle::from_rad(degrees.to_radians()));
-            explains(&line, &cell, &VisaggeSettings::default())
-        };
-        assert!(is_surface(3.0, true, false), "a pane that leans");
-        assert!(!is_surface(12.0, true, false), "the image of a wall");
-        assert!(is_surface(12.0, true, true), "dust");
-        assert!(is_surface(12.0, false, false), "without intensities");
     }
 
     #[test]
