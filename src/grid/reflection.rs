@@ -42,9 +42,6 @@ const BODY: f64 = 0.6;
 const PLACE: f64 = 0.1;
 /// How exactly the direction of the reflecting surface is known (rad).
 const DIRECTION: f64 = 0.02;
-/// Through a surface that is seen from farther than this to both sides of a direction (rad) nothing is seen that stands behind it, though an
-/// image in it, of metal or dust, may be brighter now and then. 3 degrees: the error of a view angle at 1 m.
-const INSIDE: f64 = 0.05;
 /// Widest search around the mirrored point (m).
 const WIDEST: f64 = 0.3;
 /// An original that is seen from some directions only is seen up to this far off those from which it was (rad): 6 degrees, by which
@@ -436,12 +433,11 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
     let Sight { from: sensor, to: point, range, .. } = *sight;
     let Lookups { crossed, sought } = lookups;
     let view = [sensor[0] - point[0], sensor[1] - point[1]];
-    let seen_from = LazyCell::new(|| Angle::of(view));
     let near = |evidence: &'a Evidence| Some(evidence.mirrors.as_ref()?.near(sight.round));
     follow(grid, sight, crossed, near, |evidence, place, [column, row], distance| {
         let mirrors = evidence.mirrors.as_ref();
         let mirror = mirrors.and_then(|mirrors| mirrors.nearest(column, row, sight.round));
-        let Some(mirror @ Mirror { line, visible, .. }) = mirror else { return false };
+        let Some(mirror) = mirror else { return false };
         let block = Block::of(place.cell(column, row));
         let [mirrored, image_of_sensor] = mirror.reflect([point, sensor]);
         let is_within = |reach: f64, [x, y]: [f64; 2]| {
@@ -453,18 +449,14 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
             return false;
         }
         // Where the original would be seen from.
-        let original_from = LazyCell::new(|| {
+        let seen_from = LazyCell::new(|| {
             let [x, y] = image_of_sensor;
             Angle::of([x - mirrored[0], y - mirrored[1]])
         });
         let explains = is_within(BODY + tolerance, sensor)
-            || grid.has_original(mirrored, || *original_from, tolerance, sought);
-        // What is seen where the surface would hide it says nothing against the surface.
-        if !explains && visible.depth(AngleRange::at(*seen_from), 0) > units(INSIDE) as i32 {
-            return false;
-        }
+            || grid.has_original(mirrored, || *seen_from, tolerance, sought);
         let needed = (range / SEES).max(if sight.has_glinted { OF_GLINTS } else { 0.0 });
-        let incidence = || line.off_normal(view[1].atan2(view[0]));
+        let incidence = || mirror.line.off_normal(view[1].atan2(view[0]));
         let by_glass = || needed <= glass_reflects(incidence()) || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
             (true, _) if by_glass() => Image::Yes,

@@ -86,8 +86,8 @@ const STRAIGHT: f32 = 0.02;
 /// Something is seen through a surface, or in it, that was missed over at least this range (rad): 1 degree. Less is a
 /// wall at grazing incidence.
 pub(super) const SEEN_THROUGH: f64 = 0.02;
-/// Or that has glinted at least once in so many scans that it was seen in: dust and metal are seen over tens of degrees, and beyond may
-/// return nothing from anywhere. Random readings come once in a thousand beams (paper III-B), of which a scan has some in a cell.
+/// Or that has glinted at least once in so many scans that it was seen in. Random readings come once in a thousand beams (paper III-B), of
+/// which a scan has some in a cell.
 const HITS_A_GLINT: u16 = 64;
 /// What is shown on both sides of a gap must begin within this many cells: a quarter of a metre, less than half a
 /// door or a person's width.
@@ -187,7 +187,7 @@ impl Visagge {
         let settings = &self.settings;
         // Of what is shown in any case and nothing is seen through, the surface does not matter.
         let alone = shape(cell, None, false, settings);
-        let is_seen_through = is_seen_through(cell);
+        let is_seen_through = is_seen_through(cell, alone);
         let mut reach = Reach::at(cell.returns.place);
         let may_go = alone == Verdict::Solid && cell.returns.was_crossed && cell.lasted() < STAYING;
         let has_come = may_go && settings.has(Idea::Visitors) && window().has_come(index, cell, &mut reach);
@@ -201,10 +201,15 @@ impl Visagge {
                 let may_explain = explains(&Line { share: 1.0, glints: true, ..line }, cell, settings);
                 Some(if may_explain { patch.compared(line) } else { line })
             };
-            let plane = surface(units(OF_PLANE), &mut reach);
-            plane
-                .filter(|line| explains(line, cell, settings) && settings.has(Idea::PlanesFirst))
-                .or_else(|| surface(units(OF_PILLAR), &mut reach))
+            if alone == Verdict::Solid && !has_come {
+                // It needs no explanation, and is seen from too many directions for a plane.
+                patch.surface(units(OF_PILLAR), &mut reach)
+            } else {
+                let plane = surface(units(OF_PLANE), &mut reach);
+                plane
+                    .filter(|line| explains(line, cell, settings) && settings.has(Idea::PlanesFirst))
+                    .or_else(|| surface(units(OF_PILLAR), &mut reach))
+            }
         } else {
             None
         };
@@ -227,11 +232,14 @@ pub(super) fn is_solid(cell: &Cell, settings: &VisaggeSettings) -> bool {
             || !settings.has(Idea::Newcomers))
 }
 
-/// Whether something may be seen through the cell, or in it.
-fn is_seen_through(cell: &Cell) -> bool {
-    let Returns { glints, hits, .. } = cell.returns;
+/// Whether something may be seen through the cell, or in it, being shown for this if it were alone: it was missed, it glints, or it is
+/// solid though a beam had crossed it before it was first seen. A door may have been shut since; but so it is with dust and metal, met
+/// farther off their normal first, from where they may return nothing, nor what they show.
+fn is_seen_through(cell: &Cell, alone: Verdict) -> bool {
+    let Returns { glints, hits, was_crossed, .. } = cell.returns;
     let glints_often = u16::from(glints) >= (hits / HITS_A_GLINT).clamp(1, u8::MAX.into());
-    u32::from(cell.missed.width) >= units(SEEN_THROUGH) || glints_often
+    let was_missed = u32::from(cell.missed.width) >= units(SEEN_THROUGH);
+    was_missed || glints_often || was_crossed && alone == Verdict::Solid
 }
 
 /// Whether a surface along this line would be seen from where the cell was seen, and hardly from elsewhere.
@@ -344,13 +352,19 @@ mod tests {
             let mut cell =
                 Cell::of(&Returns { glints, hits, ..Returns::new([0, 0], false) }, &Track::default());
             cell.missed.width = units(missed.to_radians()) as u16;
-            is_seen_through(&cell)
+            is_seen_through(&cell, Verdict::Solid)
         };
         assert!(!shows(0.0, 0, 900));
         assert!(shows(3.0, 0, 900));
-        assert!(shows(0.0, 2, 60), "dust, seen from all along the pane");
+        assert!(shows(0.0, 2, 60), "glass that was met at its normal first");
         assert!(!shows(0.0, 2, 900), "random readings");
         assert!(shows(0.0, u8::MAX, u16::MAX), "as many as are counted");
+        let was_crossed = Cell::of(&Returns::new([0, 0], true), &Track::default());
+        assert!(
+            is_seen_through(&was_crossed, Verdict::Solid),
+            "metal that a beam off its normal had crossed"
+        );
+        assert!(!is_seen_through(&was_crossed, Verdict::NoSurface), "somebody");
     }
 
     #[test]
