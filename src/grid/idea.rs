@@ -26,6 +26,8 @@ pub enum Idea {
     Gaps,
     /// Images are not shown.
     Images,
+    /// What was never missed may show something else too, if it glints, or if a beam had crossed it before it was first seen.
+    Unmissed,
     /// An image reflects nothing.
     ImagesReflectNothing,
     /// Glass reflects only as much as physics allows; without, all that is explained is an image.
@@ -48,7 +50,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 19] = [
+    pub const ALL: [Idea; 20] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Visitors,
@@ -59,6 +61,7 @@ impl Idea {
         Idea::Clutter,
         Idea::Gaps,
         Idea::Images,
+        Idea::Unmissed,
         Idea::ImagesReflectNothing,
         Idea::Fresnel,
         Idea::Opacity,

@@ -187,7 +187,7 @@ impl Visagge {
         let settings = &self.settings;
         // Of what is shown in any case and nothing is seen through, the surface does not matter.
         let alone = shape(cell, None, false, settings);
-        let is_seen_through = is_seen_through(cell, alone);
+        let is_seen_through = is_seen_through(cell, alone, settings);
         let mut reach = Reach::at(cell.returns.place);
         let may_go = alone == Verdict::Solid && cell.returns.was_crossed && cell.lasted() < STAYING;
         let has_come = may_go && settings.has(Idea::Visitors) && window().has_come(index, cell, &mut reach);
@@ -232,14 +232,14 @@ pub(super) fn is_solid(cell: &Cell, settings: &VisaggeSettings) -> bool {
             || !settings.has(Idea::Newcomers))
 }
 
-/// Whether something may be seen through the cell, or in it, being shown for this if it were alone: it was missed, it glints, or it is
-/// solid though a beam had crossed it before it was first seen. A door may have been shut since; but so it is with dust and metal, met
-/// farther off their normal first, from where they may return nothing, nor what they show.
-fn is_seen_through(cell: &Cell, alone: Verdict) -> bool {
+/// Whether something may be seen through the cell, or in it. `alone` tells what it is by itself: what is solid though a beam had crossed it
+/// before it was first seen may be a door that was shut since, but also dust or metal, which was met farther off its normal first, from
+/// where nothing came back that would tell of a miss.
+fn is_seen_through(cell: &Cell, alone: Verdict, settings: &VisaggeSettings) -> bool {
     let Returns { glints, hits, was_crossed, .. } = cell.returns;
     let glints_often = u16::from(glints) >= (hits / HITS_A_GLINT).clamp(1, u8::MAX.into());
     let was_missed = u32::from(cell.missed.width) >= units(SEEN_THROUGH);
-    was_missed || glints_often || was_crossed && alone == Verdict::Solid
+    was_missed || (glints_often || was_crossed && alone == Verdict::Solid) && settings.has(Idea::Unmissed)
 }
 
 /// Whether a surface along this line would be seen from where the cell was seen, and hardly from elsewhere.
@@ -347,12 +347,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missed_or_glints_may_show_something_else() {
+    fn what_was_missed_or_glints_or_had_been_crossed_may_show_something_else() {
         let shows = |missed: f64, glints: u8, hits: u16| {
             let mut cell =
                 Cell::of(&Returns { glints, hits, ..Returns::new([0, 0], false) }, &Track::default());
             cell.missed.width = units(missed.to_radians()) as u16;
-            is_seen_through(&cell, Verdict::Solid)
+            is_seen_through(&cell, Verdict::Solid, &VisaggeSettings::default())
         };
         assert!(!shows(0.0, 0, 900));
         assert!(shows(3.0, 0, 900));
@@ -360,11 +360,9 @@ mod tests {
         assert!(!shows(0.0, 2, 900), "random readings");
         assert!(shows(0.0, u8::MAX, u16::MAX), "as many as are counted");
         let was_crossed = Cell::of(&Returns::new([0, 0], true), &Track::default());
-        assert!(
-            is_seen_through(&was_crossed, Verdict::Solid),
-            "metal that a beam off its normal had crossed"
-        );
-        assert!(!is_seen_through(&was_crossed, Verdict::NoSurface), "somebody");
+        let shows = |alone: Verdict| is_seen_through(&was_crossed, alone, &VisaggeSettings::default());
+        assert!(shows(Verdict::Solid), "metal that a beam off its normal had crossed");
+        assert!(!shows(Verdict::NoSurface), "somebody");
     }
 
     #[test]
