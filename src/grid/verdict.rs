@@ -202,7 +202,7 @@ impl Visagge {
                 Some(if may_explain { patch.compared(line) } else { line })
             };
             if alone == Verdict::Solid && !has_come {
-                // It needs no explanation, and is seen from too many directions for a plane.
+                // It needs no explanation, only a surface that something else may be seen in.
                 patch.surface(units(OF_PILLAR), &mut reach)
             } else {
                 let plane = surface(units(OF_PLANE), &mut reach);
