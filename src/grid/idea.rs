@@ -34,6 +34,8 @@ pub enum Idea {
     Fresnel,
     /// Where nearly all that is seen through a surface is explained, it is opaque, and reflects all.
     Opacity,
+    /// A wall that runs straight at a surface does not tell whether that is opaque: its image would lie on itself.
+    Symmetry,
     /// An image must be explained from its second range of view angles too.
     SecondRange,
     /// What is seen from some directions only is no original of an image that it would be seen in from others.
@@ -50,7 +52,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 20] = [
+    pub const ALL: [Idea; 21] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Visitors,
@@ -65,6 +67,7 @@ impl Idea {
         Idea::ImagesReflectNothing,
         Idea::Fresnel,
         Idea::Opacity,
+        Idea::Symmetry,
         Idea::SecondRange,
         Idea::Originals,
         Idea::Walls,

@@ -27,6 +27,11 @@ impl Mirror {
         Mirror { line, visible, normal: [cos, sin] }
     }
 
+    /// Direction of the line's normal, of length 1.
+    pub fn normal(&self) -> [f64; 2] {
+        self.normal
+    }
+
     /// The mirror images of points (m).
     pub fn reflect<const N: usize>(&self, points: [[f64; 2]; N]) -> [[f64; 2]; N] {
         let [cos, sin] = self.normal;

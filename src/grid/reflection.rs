@@ -64,6 +64,9 @@ const BLOCK: i32 = 16;
 /// Share of what is seen through a surface, and could be known, that must be explained for the surface to be opaque. In
 /// a mirror nearly everything is, short of what has moved; behind glass what happens to be symmetric.
 const OPAQUE: f32 = 0.65;
+/// A wall that runs straight at a mirror goes on this far before or behind each of its cells (m); one that is met face on, errors of
+/// ranges and poses included, is not that deep.
+const RUNS_ON: f64 = 0.25;
 /// Distance at which the scanner sees a good target (m). UTM-30LX: 30, which a target of albedo 0.9 returns.
 const SEES: f64 = 30.0;
 
@@ -75,7 +78,7 @@ pub(super) enum Image {
     No,
     /// Seen through a surface, and where its original would stand beams have passed.
     Unexplained(Block),
-    /// Seen through a surface, and no beam has come to where its original would stand.
+    /// Seen through a surface, and no beam has come to where its original would stand, or it runs straight at the surface.
     Unknown(Block),
     /// Explained, but glass would not reflect that much: only an opaque surface there.
     IfOpaque(Block),
@@ -460,6 +463,7 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
         let by_glass = || needed <= glass_reflects(incidence()) || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
             (true, _) if by_glass() => Image::Yes,
+            (true, _) if grid.runs_along(point, mirror.normal(), sought) => Image::Unknown(block),
             (true, _) => Image::IfOpaque(block),
             (false, Image::No) if grid.is_crossed(mirrored, sought) => Image::Unexplained(block),
             (false, Image::No) => Image::Unknown(block),
@@ -704,6 +708,30 @@ impl Visagge {
         distance: f64,
         sought: &mut Lookup,
     ) -> bool {
+        self.is_any_shown(point, distance, sought, |evidence, column, row| {
+            !self.settings.has(Idea::Originals) || evidence.is_seen(column, row, &seen_from)
+        })
+    }
+
+    /// Whether what is shown goes on from the point in this direction, or in the opposite one. Such a wall is its own image in a mirror that
+    /// it runs straight at, and may stand on both sides of glass as well: it tells neither.
+    fn runs_along(&self, point: [f64; 2], [x, y]: [f64; 2], sought: &mut Lookup) -> bool {
+        self.settings.has(Idea::Symmetry)
+            && [-RUNS_ON, RUNS_ON].into_iter().any(|way| {
+                let beside = [point[0] + way * x, point[1] + way * y];
+                self.is_any_shown(beside, self.resolution, sought, |_, _, _| true)
+            })
+    }
+
+    /// Whether this holds of a cell that is shown within this distance of the point (m), in x and in y; it is given the cell's column and
+    /// row. `sought` takes in where that was looked up.
+    fn is_any_shown(
+        &self,
+        point: [f64; 2],
+        distance: f64,
+        sought: &mut Lookup,
+        holds: impl Fn(&Evidence, usize, usize) -> bool,
+    ) -> bool {
         let low = self.cell_near(point.map(|at| at - distance));
         let high = self.cell_near(point.map(|at| at + distance));
         let ((first, left, bottom), (last, right, top)) = (low.split(), high.split());
@@ -721,10 +749,7 @@ impl Visagge {
                     let is_any = shown.iter().fold(0, |all, cells| all | cells) & columns != 0;
                     is_any
                         && rows.clone().zip(shown).any(|(row, cells)| {
-                            cells_of(cells & columns).any(|column| {
-                                !self.settings.has(Idea::Originals)
-                                    || evidence.is_seen(column, row, &seen_from)
-                            })
+                            cells_of(cells & columns).any(|column| holds(evidence, column, row))
                         })
                 })
             })
@@ -873,6 +898,26 @@ mod tests {
         let seen = |rows: &[Row]| verdicts(rows, [[1.01, 2.01], [1.01, 3.01]]);
         assert_eq!(seen(&[metal.clone(), original, image.clone()]), [Verdict::Surface, Verdict::Image]);
         assert_eq!(seen(&[metal, image]), [Verdict::Surface; 2]);
+    }
+
+    #[test]
+    fn a_wall_that_runs_straight_at_glass_does_not_make_it_a_mirror() {
+        // Met so squarely, and seen from so far, that only a mirror would show it.
+        let cells = (16..56).chain(66..106).map(|row| Row {
+            x: [1.0, 1.05],
+            y: f64::from(row) * CELL + CELL / 2.0,
+            bearings: [-80.0, -75.0],
+            range: 4.0,
+            is_missed: false,
+        });
+        let pane = Row { x: [0.0, 4.4], y: 3.025, bearings: [-91.0, -89.0], range: 3.0, is_missed: true };
+        let rows: Vec<Row> = cells.chain([pane]).collect();
+        let mut grid = drawn(&rows);
+        assert_eq!(verdict(&mut grid, [1.02, 4.52]), Verdict::Solid);
+        let without = VisaggeSettings { without: vec![Idea::Symmetry], ..VisaggeSettings::default() };
+        let mut grid = Visagge::new(CELL, without);
+        rows.iter().for_each(|row| draw(&mut grid, row));
+        assert_eq!(verdict(&mut grid, [1.02, 4.52]), Verdict::Image);
     }
 
     #[test]
