@@ -18,6 +18,8 @@ pub enum Idea {
     Surfaces,
     /// A surface is sought among what was seen from the very same direction first.
     PlanesFirst,
+    /// A single glint on a broad surface is no random reading.
+    Singles,
     /// Long straight surfaces may be seen farther off their normal.
     LongSurfaces,
     /// Nothing else may be seen right before or behind a surface.
@@ -52,13 +54,14 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 21] = [
+    pub const ALL: [Idea; 22] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Visitors,
         Idea::TakenAway,
         Idea::Surfaces,
         Idea::PlanesFirst,
+        Idea::Singles,
         Idea::LongSurfaces,
         Idea::Clutter,
         Idea::Gaps,

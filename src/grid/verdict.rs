@@ -61,7 +61,8 @@ impl Verdict {
     }
 }
 
-/// Occupancy below which a cell is a random reading: they come once in a thousand beams (paper III-B).
+/// Occupancy below which a cell is a random reading: they come once in a thousand beams (paper III-B). But not if that was a glint and lies on
+/// a broad surface: a robot that passes a pane within half a metre, at 1 m/s, meets each cell of it in one scan, or in none.
 const LEAST_HITS: u8 = 2;
 /// Least length of a surface (m): two legs of 12 cm side by side.
 const LEAST_LENGTH: f32 = 0.3;
@@ -191,8 +192,12 @@ impl Visagge {
         let mut reach = Reach::at(cell.returns.place);
         let may_go = alone == Verdict::Solid && cell.returns.was_crossed && cell.lasted() < STAYING;
         let has_come = may_go && settings.has(Idea::Visitors) && window().has_come(index, cell, &mut reach);
-        let matters =
-            cell.returns.occupancy >= LEAST_HITS && (!alone.is_shown() || is_seen_through || has_come);
+        let is_single = cell.returns.occupancy < LEAST_HITS;
+        let matters = if is_single {
+            cell.returns.glints > 0 && settings.has(Idea::Singles)
+        } else {
+            !alone.is_shown() || is_seen_through || has_come
+        };
         let line = if matters {
             let patch = window().patch(index, cell, &mut reach);
             let surface = |same_view: u32, reach: &mut Reach| {
@@ -215,7 +220,7 @@ impl Visagge {
         };
         let verdict = shape(cell, line.as_ref(), has_come, settings);
         let mirror = line
-            .filter(|line| verdict.is_shown() && is_seen_through && line.is_flat())
+            .filter(|line| verdict.is_shown() && is_seen_through && !is_single && line.is_flat())
             .map(|line| Mirror::new(line, cell.visible.range));
         Shape { verdict, mirror, reach }
     }
@@ -284,7 +289,9 @@ pub(super) fn is_wall(returns: &Returns, [visible, missed]: [u16; 2]) -> bool {
 /// `has_come`: with all around it, and it may go again.
 fn shape(cell: &Cell, line: Option<&Line>, has_come: bool, settings: &VisaggeSettings) -> Verdict {
     if cell.returns.occupancy < LEAST_HITS {
-        return Verdict::TooFew;
+        let is_broad = |line: &Line| line.length >= LEAST_DULL && explains(line, cell, settings);
+        let is_glint = cell.returns.glints > 0 && line.is_some_and(is_broad);
+        return if is_glint { Verdict::Surface } else { Verdict::TooFew };
     }
     let is_large = || line.is_some_and(|line| line.is_flat() && line.length >= LARGE);
     if is_solid(cell, settings) && !is_gone(cell, line, settings) && (!has_come || is_large()) {
@@ -408,6 +415,19 @@ mod tests {
         assert_eq!(judged(2.0, 1), Verdict::NoSurface, "a random reading");
         assert_eq!(judged(2.0, 2), Verdict::Surface);
         assert_eq!(judged(60.0, 2), Verdict::NoSurface, "a box of polished metal that was taken away");
+    }
+
+    #[test]
+    fn a_single_glint_on_a_broad_surface_is_no_random_reading() {
+        let judged = |glints: u8, length: f32| {
+            let mut cell = Cell::of(&Returns::new([0, 0], true), &Track::default());
+            (cell.returns.occupancy, cell.returns.glints) = (1, glints);
+            let line = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length, share: 1.0, glints: true };
+            shape(&cell, Some(&line), false, &VisaggeSettings::default())
+        };
+        assert_eq!(judged(1, 0.6), Verdict::Surface);
+        assert_eq!(judged(0, 0.6), Verdict::TooFew);
+        assert_eq!(judged(1, 0.4), Verdict::TooFew, "no broader than somebody");
     }
 
     #[test]
