@@ -67,7 +67,7 @@ const LEAST_HITS: u8 = 2;
 /// Least length of a surface (m): two legs of 12 cm side by side.
 const LEAST_LENGTH: f32 = 0.3;
 /// The same where none of it has glinted though glints could be told (m): nearly all panes glint where they are met at their normal,
-/// and nobody's legs do. But panes that lean by a degree don't either, and nobody is broader than that.
+/// and nobody's legs do. But panes that lean by a degree don't either, and nobody is broader than that, or [stays](STAYING) that long.
 const LEAST_DULL: f32 = 0.5;
 /// Least share of what was seen from there, somewhat before and behind it, that lies on a surface. Before a pane there is
 /// nothing, and behind it seldom anything as near; a person's legs swing to and fro.
@@ -253,7 +253,8 @@ fn explains(line: &Line, cell: &Cell, settings: &VisaggeSettings) -> bool {
     let beyond = off - cell.visible.range.width_rad() / 2.0;
     let is_long = line.length >= LONG && line.rms <= STRAIGHT && settings.has(Idea::LongSurfaces);
     let [most, most_beyond] = if is_long { OFF_LONG } else { OFF_SHORT };
-    let is_dull = cell.returns.was_told && !line.glints && settings.has(Idea::Dull);
+    let may_be_somebody = cell.returns.was_told && !line.glints && cell.lasted() < STAYING;
+    let is_dull = may_be_somebody && settings.has(Idea::Dull);
     line.length >= if is_dull { LEAST_DULL } else { LEAST_LENGTH }
         && line.is_flat()
         && (line.share >= LEAST_SHARE || !settings.has(Idea::Clutter))
@@ -342,12 +343,14 @@ mod tests {
 
     #[test]
     fn what_could_have_glinted_and_has_not_is_broader_than_anybody() {
-        let is_surface = |length: f32, was_told: bool, glints: bool| {
+        let judged = |length: f32, was_told: bool, glints: bool, lasted: f32| {
             let line = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length, share: 1.0, glints };
-            let returns = Returns { was_told, ..Returns::new([0, 0], true) };
+            let returns = Returns { was_told, hit_time: [5.0, 5.0 + lasted], ..Returns::new([0, 0], true) };
             explains(&line, &Cell::of(&returns, &Track::default()), &VisaggeSettings::default())
         };
+        let is_surface = |length, was_told, glints| judged(length, was_told, glints, 3.0);
         assert!(!is_surface(0.4, true, false), "somebody's legs");
+        assert!(judged(0.4, true, false, 60.0), "a pane that leans, passed again");
         assert!(is_surface(0.4, true, true));
         assert!(is_surface(0.4, false, false), "without intensities");
         assert!(is_surface(0.6, true, false), "a pane that leans");
