@@ -3,10 +3,11 @@
 use super::{
     angle::AngleRange,
     reflection::{Block, Image, ROUNDS},
-    squares::{CellsBySquare, Squares},
+    squares::{CellsBySquare, Squares, cells_of},
     surface::Line,
     tiles::SIDE,
     view::Place,
+    visagge::place_of,
 };
 
 /// What images are judged by of such a cell.
@@ -122,11 +123,8 @@ impl Mirrors {
 
     /// The places of all of them in the tile, in their order.
     pub fn places(&self) -> impl Iterator<Item = Place> {
-        self.rows.iter().enumerate().flat_map(|(row, &cells)| {
-            (0..SIDE as Place)
-                .filter(move |column| cells >> column & 1 == 1)
-                .map(move |column| (row as Place) << 6 | column)
-        })
+        let rows = self.rows.iter().enumerate();
+        rows.flat_map(|(row, &cells)| cells_of(cells).map(move |column| place_of([column as u8, row as u8])))
     }
 
     /// Which of them the cell at this place is, if it is one of them.

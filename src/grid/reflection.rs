@@ -16,7 +16,7 @@ use super::{
     cell::Cell,
     idea::Idea,
     mirrors::Mirror,
-    squares::{CellsBySquare, Squares},
+    squares::{CellsBySquare, Squares, cells_of},
     tiles::{CellIndex, PlaceHasher, SIDE, TileIndex, floor_near, whole},
     visagge::{Evidence, Tile, Visagge, place_of},
 };
@@ -662,15 +662,6 @@ impl Course {
         let column = if self.along[0] >= 0.0 { columns.trailing_zeros() } else { columns.ilog2() };
         (8 * row + column) as usize
     }
-}
-
-/// The columns of a row's cells, of which each has a bit.
-fn cells_of(mut row: u64) -> impl Iterator<Item = usize> {
-    std::iter::from_fn(move || {
-        let column = (row != 0).then(|| row.trailing_zeros() as usize)?;
-        row &= row - 1;
-        Some(column)
-    })
 }
 
 impl Evidence {

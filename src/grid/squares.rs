@@ -210,6 +210,15 @@ impl Reach {
     }
 }
 
+/// The columns of a row's cells, of which each has a bit.
+pub fn cells_of(mut row: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let column = (row != 0).then(|| row.trailing_zeros() as usize)?;
+        row &= row - 1;
+        Some(column)
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
