@@ -101,7 +101,7 @@ impl Moments {
         let [x, y] = self.mean.map(|mean| mean / self.sum);
         let [xx, xy, yy] = self.square.map(|square| square / self.sum);
         let (xx, xy, yy) = (xx - x * x, xy - x * y, yy - y * y);
-        let spread = ((xx - yy) / 2.0).hypot(xy);
+        let spread = (((xx - yy) / 2.0).powi(2) + xy * xy).sqrt();
         let along = f64::atan2(2.0 * xy, xx - yy) / 2.0;
         Some(Line {
             at: [(origin[0] + x) as f32, (origin[1] + y) as f32],
@@ -197,7 +197,9 @@ impl Window {
         self.reach_patch(index, reach);
         let origin = cell.returns_at(index, self.resolution);
         let seen_from = cell.visible.range.middle();
-        let mut patch = Patch { window: self, origin, seen_from, numbers: [0; Patch::MOST], count: 0 };
+        let (sin, cos) = seen_from.rad().sin_cos();
+        let view = [cos, sin];
+        let mut patch = Patch { window: self, origin, seen_from, view, numbers: [0; Patch::MOST], count: 0 };
         for (first, count) in self.rows_around(index) {
             for (number, cell) in (first..).zip(&self.cells[usize::from(first)..][..count]) {
                 // Without a branch: it would be guessed wrong too often.
@@ -216,7 +218,8 @@ impl Window {
         let (mut came, mut all) = (0.0, 0.0);
         let rows = self.rows_around(index);
         rows.flat_map(|(first, count)| &self.cells[usize::from(first)..][..count]).for_each(|neighbour| {
-            if (neighbour.at[0] - origin[0]).hypot(neighbour.at[1] - origin[1]) <= AROUND {
+            let [x, y] = [0, 1].map(|axis| neighbour.at[axis] - origin[axis]);
+            if x * x + y * y <= AROUND * AROUND {
                 came += f64::from(u8::from(neighbour.was_crossed)) * neighbour.weight;
                 all += neighbour.weight;
             }
@@ -314,6 +317,8 @@ pub struct Patch<'a> {
     /// Mean place of the returns in the cell that it is around (m).
     origin: [f64; 2],
     seen_from: Angle,
+    /// The same as a direction of length 1.
+    view: [f64; 2],
     /// The first `count` of these.
     numbers: [u16; Patch::MOST],
     count: usize,
@@ -336,7 +341,7 @@ impl Patch<'_> {
     /// than [`OF_PILLAR`]): the patch of 0.8 m, or more of it along the line as far as it stays flat. How it [compares](Patch::compared) with all else is not told
     /// yet. `reach` takes in all cells that this depends on.
     pub fn surface(&self, same_view: u32, reach: &mut Reach) -> Option<Line> {
-        let (sin, cos) = self.seen_from.rad().sin_cos();
+        let [cos, sin] = self.view;
         let mut moments = Moments::default();
         for (cell, weight) in self.cells(same_view) {
             let to = [cell.at[0] - self.origin[0], cell.at[1] - self.origin[1]];
