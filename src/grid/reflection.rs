@@ -850,7 +850,12 @@ mod tests {
     }
 
     fn drawn(rows: &[Row]) -> Visagge {
-        let mut grid = Visagge::new(CELL, VisaggeSettings::default());
+        drawn_without(&[], rows)
+    }
+
+    fn drawn_without(without: &[Idea], rows: &[Row]) -> Visagge {
+        let settings = VisaggeSettings { without: without.to_vec(), ..VisaggeSettings::default() };
+        let mut grid = Visagge::new(CELL, settings);
         rows.iter().for_each(|row| draw(&mut grid, row));
         grid
     }
@@ -903,12 +908,9 @@ mod tests {
         });
         let pane = Row { x: [0.0, 4.4], y: 3.025, bearings: [-91.0, -89.0], range: 3.0, is_missed: true };
         let rows: Vec<Row> = cells.chain([pane]).collect();
-        let mut grid = drawn(&rows);
-        assert_eq!(verdict(&mut grid, [1.02, 4.52]), Verdict::Solid);
-        let without = VisaggeSettings { without: vec![Idea::Symmetry], ..VisaggeSettings::default() };
-        let mut grid = Visagge::new(CELL, without);
-        rows.iter().for_each(|row| draw(&mut grid, row));
-        assert_eq!(verdict(&mut grid, [1.02, 4.52]), Verdict::Image);
+        let seen = |without: &[Idea]| verdict(&mut drawn_without(without, &rows), [1.02, 4.52]);
+        assert_eq!(seen(&[]), Verdict::Solid);
+        assert_eq!(seen(&[Idea::Symmetry]), Verdict::Image);
     }
 
     #[test]
