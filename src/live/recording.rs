@@ -12,8 +12,8 @@ use super::shared::lock;
 use crate::record::{Record, RecordError, Recorder, RecorderReport};
 
 /// How often it looks for records, and at the clocks: files are also synced and begun anew while nothing comes. To be woken for each of
-/// some hundred records a second costs more than to write it, also for those who send them; a twentieth of a second of them is half a
-/// percent of what the queue holds.
+/// some hundred records a second would take a tenth of the daemon's CPU; a twentieth of a second of them is half a percent of what the
+/// queue holds.
 const PERIOD: Duration = Duration::from_millis(50);
 
 /// Writes until all senders are gone. Errors do not end it: a disk that is full may not stay so, and the map is made
