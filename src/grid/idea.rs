@@ -46,7 +46,7 @@ pub enum Idea {
     Walls,
     /// What has returned glints, brighter than anything diffuse, is a surface seen about its normal; needs intensities.
     Glints,
-    /// What has not glinted though it could is a surface only where it is broader than anybody.
+    /// What has not glinted though it could is a surface only where it is broader than anybody, or has stayed for longer than people do.
     Dull,
     /// Surfaces are drawn one cell thick.
     Thin,
