@@ -15,9 +15,9 @@
 
 use super::{
     idea::Idea,
-    mirrors::{Mirror, Mirrors},
-    reflection::{self, AllOpacity, Image, Lookups, Opacity, ROUNDS, Sights, Sources, Spot},
-    squares::{CellsAround, CellsBySquare, Reach, Squares, SquaresAround},
+    mirrors::{Mirror, Mirrors, near},
+    reflection::{self, AllOpacity, BESIDE_WALLS, Image, Lookups, Opacity, ROUNDED, ROUNDS, Sights, Spot},
+    squares::{CellsAround, CellsBySquare, Extent, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
     verdict::{Verdict, is_in_gap},
@@ -39,6 +39,8 @@ pub(super) struct Judgement {
     image_is_due: bool,
     /// What is known of the lines of sight to it.
     sights: Sights,
+    /// Where its original was sought.
+    sought: Extent,
     /// What its shape says of it.
     shape: Verdict,
     /// The same with gaps bridged.
@@ -50,7 +52,16 @@ pub(super) struct Judgement {
 }
 
 /// Of every cell: what it takes counts.
-const _: () = assert!(size_of::<Judgement>() == 32);
+const _: () = assert!(size_of::<Judgement>() == 40);
+
+/// What a round of images has told of a cell.
+struct Found {
+    /// The cell's number.
+    at: usize,
+    image: Image,
+    sights: Sights,
+    sought: Extent,
+}
 
 /// What the shape of its neighbourhood says of a cell.
 pub(super) struct Shape {
@@ -63,30 +74,37 @@ pub(super) struct Shape {
 }
 
 /// What has changed in a tile since it was last judged.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct Change {
     /// Where cells are no longer as they were.
     cells: Squares,
-    /// Whether a beam has crossed cells that none had crossed before.
-    free: bool,
+    /// Where a beam has crossed cells that none had crossed before.
+    free: Squares,
     /// Whether shapes were judged anew, or cells have gone.
     judged: bool,
     /// Whether other cells are shown by themselves.
     shaped: bool,
-    /// Whether, in a round of images, other cells are mirrors, or in another way.
-    mirrors: [bool; ROUNDS],
-    /// Where, in a round of images, lines of sight that met no mirror may meet one.
-    mirrors_in_the_way: [Squares; ROUNDS],
-    /// Where lines of sight may meet other walls.
-    walls_differ: Squares,
-    /// Whether other cells are shown, gaps bridged.
-    shown: bool,
-    /// Whether other cells are walls.
-    walls: bool,
+    /// Of a round of images, the cells in which lines of sight meet other mirrors.
+    mirrors: [CellsBySquare; ROUNDS],
+    /// Where other cells are mirrors, or these are seen from elsewhere.
+    seen: Squares,
+    /// Those of them in which no mirror was met before.
+    newly_met: [CellsBySquare; ROUNDS],
+    /// Where other cells are shown, gaps bridged.
+    shown: Squares,
+    /// The cells that have become walls, or are none any more.
+    walls: CellsBySquare,
     /// Whether a cell's verdict is another, but for how thick surfaces are drawn.
     unthinned: bool,
     /// Whether how a cell may be an image is another in the end.
     image: bool,
+}
+
+impl Change {
+    /// Where originals may no longer be what they were.
+    fn of_originals(&self) -> Squares {
+        self.shown | self.free | self.walls.in_squares() | self.seen
+    }
 }
 
 /// Of each tile, by its number.
@@ -111,34 +129,23 @@ impl Visagge {
         let numbers = 0..self.tiles.len();
         let change = |number| {
             let tile: &mut Tile = self.tiles.at_mut(number);
-            let free: u128 = tile.free.iter().map(|&row| u128::from(row)).sum();
-            let before = std::mem::replace(&mut tile.judged_free, free);
-            let Some(evidence) = &mut tile.evidence else {
-                return Change { free: free != before, ..Change::default() };
-            };
-            // Where there is evidence, lines of sight go on in other steps.
-            let is_new = std::mem::take(&mut evidence.is_new);
-            Change {
-                cells: evidence.changed(),
-                free: free != before,
-                walls: is_new,
-                walls_differ: if is_new { Squares::ALL } else { Squares::default() },
-                ..Change::default()
-            }
+            let free = tile.judged_free.update(&tile.free);
+            let cells = tile.evidence.as_mut().map(|evidence| evidence.changed()).unwrap_or_default();
+            Change { cells, free, ..Change::default() }
         };
         Changes(numbers.map(change).collect())
     }
 
-    /// What has changed in the tile at a place; nothing where there is none.
-    fn change(&self, changes: &Changes, place: TileIndex) -> Change {
-        self.tiles.find(place).map(|number| changes.0[number]).unwrap_or_default()
+    /// What has changed in the tile at a place, if there is one.
+    fn change<'a>(&self, changes: &'a Changes, place: TileIndex) -> Option<&'a Change> {
+        self.tiles.find(place).map(|number| &changes.0[number])
     }
 
     /// Whether this holds of the tile or one of those around.
     fn any_around(&self, changes: &Changes, number: usize, holds: impl Fn(&Change) -> bool) -> bool {
         let TileIndex { x, y } = self.tiles.place(number);
         let around = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| TileIndex { x: x + dx, y: y + dy }));
-        around.into_iter().any(|place| holds(&self.change(changes, place)))
+        around.into_iter().any(|place| self.change(changes, place).is_some_and(&holds))
     }
 
     /// Bits of the tile at a place and of those around.
@@ -150,7 +157,8 @@ impl Visagge {
     fn judge_shapes(&mut self, changes: &mut Changes) {
         for number in 0..self.tiles.len() {
             let place = self.tiles.place(number);
-            let around = SquaresAround::of(place, |place| self.change(changes, place).cells);
+            let cells = |place| self.change(changes, place).map(|change| change.cells).unwrap_or_default();
+            let around = SquaresAround::of(place, cells);
             let Some(evidence) = self.tiles.at(number).evidence.as_ref().filter(|_| !around.is_empty())
             else {
                 continue;
@@ -199,29 +207,40 @@ impl Visagge {
         }
     }
 
-    /// Forgets what is known of the lines of sight to cells, where on these walls are others.
+    /// Forgets what is known of the lines of sight to cells, where on these walls are others: how these may be images has to be told anew.
     fn forget_sights(&mut self, changes: &Changes) {
         for number in 0..self.tiles.len() {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
-            let walls = self.in_the_way(evidence, |place| self.change(changes, place).walls_differ);
+            let walls = self.in_the_way(evidence, changes, BESIDE_WALLS, |change| &change.walls);
             if walls.is_empty() {
                 continue;
             }
-            let known = |at: &usize| evidence.judgements[*at].sights != Sights::default();
-            let passed = (0..evidence.judgements.len())
-                .filter(known)
-                .filter(|at| reflection::passes(self, place, &evidence.cells.get(*at), &walls));
-            let passed: Vec<usize> = passed.collect();
+            let passed = |at: &usize| {
+                let judgement = &evidence.judgements[*at];
+                (judgement.bridged.is_shown() || judgement.sights != Sights::default())
+                    && reflection::passes(self, place, &evidence.cells.get(*at), &walls)
+            };
+            let passed: Vec<usize> = (0..evidence.judgements.len()).filter(passed).collect();
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
-            passed.into_iter().for_each(|at| evidence.judgements[at].sights = Sights::default());
+            for at in passed {
+                let judgement = &mut evidence.judgements[at];
+                (judgement.sights, judgement.image_is_due) = (Sights::default(), true);
+            }
         }
     }
 
-    /// Where these squares are, of the tiles that lines of sight to the cells of this one cross.
-    fn in_the_way(&self, evidence: &Evidence, squares: impl Fn(TileIndex) -> Squares) -> Vec<Spot> {
+    /// Where these have changed, in the tiles that lines of sight to the cells of this one cross, and so far beside (m).
+    fn in_the_way(
+        &self,
+        evidence: &Evidence,
+        changes: &Changes,
+        beside: f64,
+        cells: impl Fn(&Change) -> &CellsBySquare,
+    ) -> Vec<Spot> {
         let crossed = evidence.sources.crossed.iter();
-        crossed.flat_map(|place| Spot::around(place, squares(place), self.resolution)).collect()
+        let changed = crossed.filter_map(|place| Some((place, cells(self.change(changes, place)?))));
+        changed.flat_map(|(place, cells)| Spot::of(place, cells, self.resolution, beside)).collect()
     }
 
     /// Tells which cells that are shown may be images; before the last round, which of those that are mirrors.
@@ -232,48 +251,58 @@ impl Visagge {
         for number in 0..self.tiles.len() {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
-            let Sources { crossed, sought } = &evidence.sources;
-            let all = crossed.iter().any(|place| {
-                let change = self.change(changes, place);
-                change.mirrors[round] || change.walls
-            }) || sought.iter().any(|place| {
-                let change = self.change(changes, place);
-                change.shown || change.free || change.walls || change.mirrors[0]
-            });
-            if !all && !evidence.judgements.iter().any(|judgement| judgement.image_is_due) {
+            let others = self.in_the_way(evidence, changes, ROUNDED, |change| &change.mirrors[round]);
+            let originals = evidence
+                .sources
+                .sought
+                .iter()
+                .filter_map(|place| Some((place, self.change(changes, place)?.of_originals())));
+            let originals: Vec<_> = originals.filter(|(_, squares)| !squares.is_empty()).collect();
+            if others.is_empty()
+                && originals.is_empty()
+                && !evidence.judgements.iter().any(|judgement| judgement.image_is_due)
+            {
                 continue;
             }
-            let in_the_way =
-                self.in_the_way(evidence, |place| self.change(changes, place).mirrors_in_the_way[round]);
-            let mut lookups = Lookups::from(evidence.sources.clone());
+            let newly_met = self.in_the_way(evidence, changes, ROUNDED, |change| &change.newly_met[round]);
+            let mut lookups = Lookups::of(place, evidence.sources.clone());
             let judge = |(at, judgement): (usize, &Judgement)| {
                 let is_mirror = evidence.is_mirror(at);
-                let is_first = round == 0 || !is_mirror;
-                let is_due = judgement.image_is_due || all && !judgement.sights.are_clear();
-                if !is_last && !is_mirror || !is_due && !is_first {
+                if !is_last && !is_mirror {
                     return None;
                 }
-                let mut sights = judgement.sights;
+                let is_first = round == 0 || !is_mirror;
+                let Judgement { mut sights, mut sought, image_is_due: is_due, .. } = *judgement;
                 if !(may_be && judgement.bridged.is_shown()) {
                     sights.set_clear(false);
-                    return is_due.then_some((at, Image::No, sights));
+                    return is_due.then_some(Found { at, image: Image::No, sights, sought });
                 }
                 if !is_first && sights.are_clear() {
-                    return Some((at, Image::No, sights));
+                    return is_due.then_some(Found { at, image: Image::No, sights, sought });
                 }
                 let cell = evidence.cells.get(at);
-                if !is_due && (in_the_way.is_empty() || !reflection::passes(self, place, &cell, &in_the_way))
-                {
+                let passes =
+                    |spots: &[Spot]| !spots.is_empty() && reflection::passes(self, place, &cell, spots);
+                let may_differ = || match sights.are_clear() {
+                    true => passes(&newly_met),
+                    false => {
+                        originals.iter().any(|(tile, squares)| sought.touches(place, *tile, *squares))
+                            || passes(&others)
+                    }
+                };
+                if !is_due && !may_differ() {
                     return None;
                 }
                 let image = reflection::image(self, place, &cell, round, &mut sights, &mut lookups);
+                let is_new = is_due && is_first;
+                sought = if is_new { lookups.sought() } else { sought.and(lookups.sought()) };
                 sights.set_clear(lookups.were_clear() && is_first && image == Image::No);
-                Some((at, image, sights))
+                Some(Found { at, image, sights, sought })
             };
-            let images = evidence.judgements.iter().enumerate().filter_map(judge).collect();
+            let found = evidence.judgements.iter().enumerate().filter_map(judge).collect();
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
             evidence.sources = lookups.into();
-            evidence.take_images(round, images, &mut changes.0[number]);
+            evidence.take_images(round, found, &mut changes.0[number]);
         }
     }
 
@@ -307,10 +336,10 @@ impl Visagge {
     /// are shown that got the most.
     fn thin(&mut self, changes: &Changes) {
         for (number, change) in changes.0.iter().enumerate() {
-            if change.image || change.free || !change.cells.is_empty() {
+            if change.image || !(change.free | change.cells).is_empty() {
                 self.tiles.at_mut(number).shown = Weak::new();
             }
-            let matters = |change: &Change| !change.cells.is_empty() || change.unthinned || change.shown;
+            let matters = |change: &Change| !(change.cells | change.shown).is_empty() || change.unthinned;
             if !self.any_around(changes, number, matters) {
                 continue;
             }
@@ -360,39 +389,45 @@ impl Evidence {
 
     fn take_shapes(&mut self, shapes: Vec<(usize, Shape)>, change: &mut Change) {
         let before = self.mirrors.take();
+        let before_at = |place: Place| before.as_ref().and_then(|before| before.get(place));
         let mut mirrors: Vec<(Place, Mirror)> = Vec::new();
         let mut judged = [0u64; SIDE as usize];
+        // Those that reflect in another way, and those that are seen from elsewhere.
+        let (mut others, mut seen) = ([0u64; SIDE as usize], [0u64; SIDE as usize]);
         for (number, Shape { verdict, mirror, reach }) in shapes {
             let judgement = &mut self.judgements[number];
             (judgement.shape, judgement.reach) = (verdict, reach);
             let [column, row] = self.cells.returns[number].place;
             let place = place_of([column, row]);
-            let was_mirror = before.as_ref().is_some_and(|before| before.get(place).is_some());
-            judgement.image_is_due |= was_mirror != mirror.is_some();
+            let was = before_at(place);
+            judgement.image_is_due |= was.is_some() != mirror.is_some();
             judged[usize::from(row)] |= 1 << column;
+            let differs = |by: fn(&Mirror, &Mirror) -> bool| match (was, &mirror) {
+                (Some(was), Some(mirror)) => !by(was, mirror),
+                (was, mirror) => was.is_some() != mirror.is_some(),
+            };
+            others[usize::from(row)] |= u64::from(differs(|a, b| a.plane == b.plane)) << column;
+            seen[usize::from(row)] |= u64::from(differs(|a, b| a.visible == b.visible)) << column;
             mirrors.extend(mirror.map(|mirror| (place, mirror)));
         }
-        let others = before.iter().flat_map(|before| before.iter());
-        mirrors.extend(
-            others
-                .filter(|(place, _)| judged[usize::from(place >> 6)] >> (place & 63) & 1 == 0)
-                .filter(|(place, _)| self.slots.get(*place).is_some())
-                .map(|(place, mirror)| (place, *mirror)),
-        );
-        self.mirrors = Mirrors::of(mirrors, before.as_deref()).map(Box::new);
-        let are_others = match (&before, &self.mirrors) {
-            (Some(before), Some(mirrors)) => !mirrors.are(before),
-            (before, mirrors) => before.is_some() != mirrors.is_some(),
-        };
-        change.mirrors = [are_others; ROUNDS];
-        for (round, in_the_way) in change.mirrors_in_the_way.iter_mut().enumerate() {
-            *in_the_way = match (&before, &self.mirrors) {
-                (Some(before), Some(mirrors)) => mirrors.near(round).beyond(before.near(round)),
-                (None, None) => Squares::default(),
-                // Lines of sight go on in other steps.
-                _ => Squares::ALL,
-            };
+        for (place, mirror) in before.iter().flat_map(|before| before.iter()) {
+            let (row, column) = (usize::from(place >> 6), place & 63);
+            if self.slots.get(place).is_none() {
+                others[row] |= 1 << column;
+                seen[row] |= 1 << column;
+            } else if judged[row] >> column & 1 == 0 {
+                mirrors.push((place, *mirror));
+            }
         }
+        self.mirrors = Mirrors::of(mirrors, before.as_deref()).map(Box::new);
+        change.mirrors = std::array::from_fn(|_| near(others));
+        change.seen = Squares::of(seen);
+        change.newly_met = std::array::from_fn(|round| {
+            let [met, before] = [self.mirrors.as_deref(), before.as_deref()]
+                .map(|mirrors| mirrors.map(|mirrors| mirrors.near(round)));
+            let none = CellsBySquare::default();
+            met.unwrap_or(&none).but(before.unwrap_or(&none))
+        });
         let shaped = self.rows(|number| self.judgements[number].shape.is_shown());
         change.shaped = shaped != self.shaped;
         change.judged = true;
@@ -408,24 +443,23 @@ impl Evidence {
         let walls = self
             .rows(|number| self.judgements[number].bridged == Verdict::Solid && self.cells.is_wall(number));
         let walls = CellsBySquare::from(walls);
-        change.shown = shown != self.shown;
-        change.walls |= walls != self.walls;
-        change.walls_differ = change.walls_differ | walls.unlike(&self.walls);
+        change.shown = Squares::of(std::array::from_fn(|row| shown[row] ^ self.shown[row]));
+        change.walls = walls.unlike(&self.walls);
         change.judged = true;
         (self.shown, self.walls) = (shown, walls);
     }
 
     /// Takes note of how cells may be images in a round, and of what is known of the lines of sight to them.
-    fn take_images(&mut self, round: usize, images: Vec<(usize, Image, Sights)>, change: &mut Change) {
+    fn take_images(&mut self, round: usize, found: Vec<Found>, change: &mut Change) {
         change.judged = true;
-        for (number, image, sights) in images {
-            let judgement = &mut self.judgements[number];
-            judgement.sights = sights;
+        for Found { at, image, sights, sought } in found {
+            let judgement = &mut self.judgements[at];
+            (judgement.sights, judgement.sought) = (sights, sought);
             if round + 1 == ROUNDS {
                 change.image |= judgement.image != image;
                 (judgement.image, judgement.image_is_due) = (image, false);
             } else if let Some(mirrors) = &mut self.mirrors {
-                mirrors.set_image(place_of(self.cells.returns[number].place), round, image);
+                mirrors.set_image(place_of(self.cells.returns[at].place), round, image);
                 // It may be one in the rounds after this as they were judged before.
                 judgement.image_is_due |= sights.are_clear();
             }
@@ -451,11 +485,10 @@ impl Evidence {
     /// Takes note of which mirrors reflect in this round, and whether others did.
     fn take_mirrors(&mut self, round: usize, change: &mut Change) {
         let Evidence { mirrors, rounds, .. } = self;
-        let in_the_way =
-            mirrors.as_mut().and_then(|mirrors| mirrors.reflect(round, &rounds[round - 1].opaque));
-        if let Some(squares) = in_the_way {
-            change.mirrors[round] = true;
-            change.mirrors_in_the_way[round] = change.mirrors_in_the_way[round] | squares;
+        let others = mirrors.as_mut().and_then(|mirrors| mirrors.reflect(round, &rounds[round - 1].opaque));
+        if let Some([others, newly_met]) = others {
+            change.mirrors[round] = change.mirrors[round].or(&others);
+            change.newly_met[round] = change.newly_met[round].or(&newly_met);
         }
     }
 

@@ -3,49 +3,74 @@
 use super::{
     angle::AngleRange,
     reflection::{Block, Image, ROUNDS},
-    squares::{CellsBySquare, Squares, cells_of},
-    surface::Line,
+    squares::{CellsBySquare, cells_of},
+    surface::{Line, off_normal},
     tiles::SIDE,
     view::Place,
     visagge::place_of,
 };
 
 /// What images are judged by of such a cell.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Mirror {
     /// The surface through it and its neighbours.
-    pub line: Line,
+    pub plane: Plane,
     /// The widest range from which it was continuously observed.
     pub visible: AngleRange,
-    /// Cosine and sine of the line's normal.
-    normal: [f64; 2],
 }
 
-impl Mirror {
-    /// A cell of a surface along this line, seen from there.
-    pub fn new(line: Line, visible: AngleRange) -> Mirror {
-        let (sin, cos) = f64::from(line.normal).sin_cos();
-        Mirror { line, visible, normal: [cos, sin] }
+/// Where something is mirrored.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plane {
+    /// Cosine and sine of its normal's direction.
+    normal: [f64; 2],
+    /// From the map's origin to it, along the normal (m).
+    offset: f64,
+    /// Direction of the normal (rad, modulo pi).
+    direction: f32,
+}
+
+/// How finely a plane is told: its direction (rad) and how far it passes the cell (m). Far finer than it is [known](super::reflection), so
+/// that not each return changes it.
+const DIRECTION: f64 = 1.0 / 512.0;
+const PASSES: f64 = 0.005;
+
+impl Plane {
+    /// That of a line through the cell around this point (m), or past it.
+    pub fn new(line: &Line, at: [f64; 2]) -> Plane {
+        let rounded = |number: f64, step: f64| (number / step).round() * step;
+        let along = |[cos, sin]: [f64; 2], [x, y]: [f64; 2]| x * cos + y * sin;
+        let of = |direction: f64| [direction.cos(), direction.sin()];
+        let exact = f64::from(line.normal);
+        let passes = along(of(exact), [0, 1].map(|axis| f64::from(line.at[axis]) - at[axis]));
+        let direction = rounded(exact, DIRECTION);
+        let normal = of(direction);
+        let offset = along(normal, at) + rounded(passes, PASSES);
+        Plane { normal, offset, direction: direction as f32 }
     }
 
-    /// Direction of the line's normal, of length 1.
+    /// Direction of its normal, of length 1.
     pub fn normal(&self) -> [f64; 2] {
         self.normal
+    }
+
+    /// Angle between the normal and a view (rad, 0..pi/2).
+    pub fn off_normal(&self, seen_from: f64) -> f64 {
+        off_normal(f64::from(self.direction), seen_from)
     }
 
     /// The mirror images of points (m).
     pub fn reflect<const N: usize>(&self, points: [[f64; 2]; N]) -> [[f64; 2]; N] {
         let [cos, sin] = self.normal;
-        let [x, y] = self.line.at.map(f64::from);
-        points.map(|point| {
-            let beyond = (point[0] - x) * cos + (point[1] - y) * sin;
-            [point[0] - 2.0 * beyond * cos, point[1] - 2.0 * beyond * sin]
+        points.map(|[x, y]| {
+            let beyond = x * cos + y * sin - self.offset;
+            [x - 2.0 * beyond * cos, y - 2.0 * beyond * sin]
         })
     }
 }
 
 /// A bit for each of some cells of a tile, a word a row.
-type Rows = [u64; SIDE as usize];
+pub type Rows = [u64; SIDE as usize];
 
 /// Those of a tile, and which of them reflect in each round of [`super::reflection`].
 #[derive(Clone, Debug)]
@@ -71,12 +96,17 @@ struct Reflecting {
 
 impl From<Rows> for Reflecting {
     fn from(rows: Rows) -> Reflecting {
-        let near = std::array::from_fn(|row| {
-            let beside = [row.wrapping_sub(1), row + 1].map(|row| rows.get(row).copied().unwrap_or(0));
-            rows[row] | rows[row] << 1 | rows[row] >> 1 | beside[0] | beside[1]
-        });
-        Reflecting { cells: rows.into(), near: CellsBySquare::from(near) }
+        Reflecting { cells: rows.into(), near: near(rows) }
     }
+}
+
+/// These and the cells beside them: in which a line of sight [meets](Mirrors::nearest) one of them.
+pub fn near(rows: Rows) -> CellsBySquare {
+    let near = std::array::from_fn(|row| {
+        let beside = [row.wrapping_sub(1), row + 1].map(|row| rows.get(row).copied().unwrap_or(0));
+        rows[row] | rows[row] << 1 | rows[row] >> 1 | beside[0] | beside[1]
+    });
+    CellsBySquare::from(near)
 }
 
 impl Reflecting {
@@ -170,20 +200,16 @@ impl Mirrors {
     }
 
     /// From now on, those reflect in a round that are no images in the one before, where these blocks are opaque. Where others did, gives
-    /// the squares in which lines of sight may meet one that they met none of before.
-    pub fn reflect(&mut self, round: usize, opaque: &[Block]) -> Option<Squares> {
+    /// the cells in which lines of sight meet others, and those in which they meet one where they met none before.
+    pub fn reflect(&mut self, round: usize, opaque: &[Block]) -> Option<[CellsBySquare; 2]> {
         let mut rows: Rows = [0; SIDE as usize];
         for (place, image) in self.places().zip(self.images(round - 1)) {
             rows[usize::from(place >> 6)] |= u64::from(!image.is_image(opaque)) << (place & 63);
         }
         let before = std::mem::replace(&mut self.reflecting[round], rows.into());
         let Reflecting { cells, near } = &self.reflecting[round];
-        (*cells != before.cells).then(|| near.beyond(&before.near))
-    }
-
-    /// Whether these are the same.
-    pub fn are(&self, others: &Mirrors) -> bool {
-        self.rows == others.rows && self.mirrors == others.mirrors
+        let others = cells.unlike(&before.cells);
+        (!others.is_empty()).then(|| [self::near(others.rows()), near.but(&before.near)])
     }
 
     /// Memory that they hold (bytes).

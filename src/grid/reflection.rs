@@ -16,7 +16,7 @@ use super::{
     cell::Cell,
     idea::Idea,
     mirrors::Mirror,
-    squares::{CellsBySquare, Squares, cells_of},
+    squares::{CellsBySquare, Extent, cells_of},
     tiles::{CellIndex, PlaceHasher, SIDE, TileIndex, floor_near, whole},
     visagge::{Evidence, Tile, Visagge, place_of},
 };
@@ -53,6 +53,10 @@ const OF_GLINTS: f64 = 0.5;
 /// A wall hides what is behind it if it does so this far to both sides of the line of sight as well, step by step (m): past its ends and
 /// through its gaps errors of poses decide.
 const ASIDE: [f64; 5] = [0.0, 0.05, -0.05, 0.1, -0.1];
+/// More than any of these (m).
+pub(super) const BESIDE_WALLS: f64 = 0.15;
+/// More than a line of sight is off by rounding (m).
+pub(super) const ROUNDED: f64 = 0.01;
 
 /// How often images are sought. In the first rounds among surfaces only, in the last one among all cells; each time those that were found to
 /// be images in the round before reflect nothing. What the first takes away too much, by surfaces that are images, the second gives
@@ -160,26 +164,31 @@ impl Sources {
 /// The same while images are judged.
 pub(super) struct Lookups {
     crossed: Lookup,
-    sought: Lookup,
+    sought: Sought,
 }
 
 impl Lookups {
+    /// The same, of cells of a tile.
+    pub(super) fn of(tile: TileIndex, Sources { crossed, sought }: Sources) -> Lookups {
+        let lookup = |places| Lookup { places, recent: [None; 64], met: false };
+        let sought = Sought { lookup: lookup(sought), of: tile, extent: Extent::default() };
+        Lookups { crossed: lookup(crossed), sought }
+    }
+
     /// Whether lines of sight met nothing at all since this was last asked.
     pub(super) fn were_clear(&mut self) -> bool {
         !std::mem::take(&mut self.crossed.met)
     }
-}
 
-impl From<Sources> for Lookups {
-    fn from(Sources { crossed, sought }: Sources) -> Lookups {
-        let lookup = |places| Lookup { places, recent: [None; 64], met: false };
-        Lookups { crossed: lookup(crossed), sought: lookup(sought) }
+    /// Where originals were sought since this was last asked.
+    pub(super) fn sought(&mut self) -> Extent {
+        std::mem::take(&mut self.sought.extent)
     }
 }
 
 impl From<Lookups> for Sources {
     fn from(Lookups { crossed, sought }: Lookups) -> Sources {
-        Sources { crossed: crossed.places, sought: sought.places }
+        Sources { crossed: crossed.places, sought: sought.lookup.places }
     }
 }
 
@@ -206,6 +215,23 @@ impl Lookup {
             }
         };
         number.map(|number| grid.tiles.at(number as usize))
+    }
+}
+
+/// Where originals are sought.
+struct Sought {
+    lookup: Lookup,
+    /// The tile whose cells are judged.
+    of: TileIndex,
+    /// Where those of one cell were sought, since this was last taken.
+    extent: Extent,
+}
+
+impl Sought {
+    /// The tile at this place, of which the cells between these two are looked at.
+    fn tile<'a>(&mut self, grid: &'a Visagge, place: TileIndex, cells: [[usize; 2]; 2]) -> Option<&'a Tile> {
+        self.extent.extend(self.of, place, cells);
+        self.lookup.tile(grid, place)
     }
 }
 
@@ -365,53 +391,113 @@ impl Sights {
     }
 }
 
-/// Something has changed within a circle.
+/// A square in which cells are no longer what they were.
 pub(super) struct Spot {
-    /// Its middle (m).
+    /// Around the square, and farther by how far beside a cell a line of sight still depends on it.
+    around: Circle,
+    /// The same around the square's first cell.
+    first: Circle,
+    /// A bit for each of the cells, row by row, and side of a cell (m).
+    cells: u64,
+    resolution: f64,
+}
+
+impl Spot {
+    /// These cells of a tile, on which lines of sight depend that pass them so far beside (m).
+    pub(super) fn of(
+        place: TileIndex,
+        cells: &CellsBySquare,
+        resolution: f64,
+        beside: f64,
+    ) -> impl Iterator<Item = Spot> {
+        cells.iter().map(move |(square, cells)| {
+            let CellIndex { x, y } = place.cell(8 * (square & 7), 8 * (square >> 3));
+            let circle = |side: f64| Circle {
+                middle: [x, y].map(|low| (f64::from(low) + side / 2.0) * resolution),
+                radius: side * SQRT_2 / 2.0 * resolution + beside,
+            };
+            Spot { around: circle(8.0), first: circle(1.0), cells, resolution }
+        })
+    }
+
+    /// The circle around each of the cells.
+    fn each(&self) -> impl Iterator<Item = Circle> {
+        cells_of(self.cells).map(|cell| {
+            let to = [cell & 7, cell >> 3].map(|cells| -(cells as f64) * self.resolution);
+            self.first.seen_from(to)
+        })
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Circle {
     middle: [f64; 2],
     radius: f64,
 }
 
-impl Spot {
-    /// Around each of these squares of a tile, or around the tile where it is all of them, and farther by more than [`ASIDE`] reaches.
-    pub(super) fn around(place: TileIndex, squares: Squares, resolution: f64) -> impl Iterator<Item = Spot> {
-        let of = move |[column, row]: [usize; 2], side: i32| {
-            let CellIndex { x, y } = place.cell(8 * column, 8 * row);
-            let middle = [x, y].map(|low| (f64::from(low) + f64::from(side) / 2.0) * resolution);
-            Spot { middle, radius: f64::from(side) * SQRT_2 / 2.0 * resolution + 3.0 * THICKNESS / 2.0 }
-        };
-        let is_all = squares == Squares::ALL;
-        let all = is_all.then(|| of([0, 0], SIDE));
-        let single = if is_all { Squares::default() } else { squares };
-        all.into_iter().chain(single.iter().map(move |square| of(square, 8)))
+impl Circle {
+    fn seen_from(self, [x, y]: [f64; 2]) -> Circle {
+        Circle { middle: [self.middle[0] - x, self.middle[1] - y], ..self }
     }
 }
 
-/// Whether one of these may be on a line of sight to the cell.
+/// The straight way from a cell to there (m), and how far that is.
+struct Way {
+    to: [f64; 2],
+    range: f64,
+}
+
+impl Way {
+    fn to([x, y]: [f64; 2]) -> Way {
+        Way { to: [x, y], range: (x * x + y * y).sqrt() }
+    }
+
+    /// How far a circle, seen from the cell, is along and beside it, and its radius; all of this times the range.
+    fn relative(&self, circle: Circle) -> [f64; 3] {
+        let ([x, y], [to_x, to_y]) = (circle.middle, self.to);
+        [x * to_x + y * to_y, x * to_y - y * to_x, circle.radius * self.range]
+    }
+
+    fn comes_into(&self, circle: Circle) -> bool {
+        let [along, beside, radius] = self.relative(circle);
+        beside.abs() <= radius && along >= -radius && along <= self.range * self.range + radius
+    }
+
+    /// On which side it leaves a circle: -1 or 1, or 0 where it would go through, however far it went.
+    fn side(&self, circle: Circle) -> i8 {
+        let [_, beside, radius] = self.relative(circle);
+        i8::from(beside > radius) - i8::from(beside < -radius)
+    }
+}
+
+/// Whether a line of sight to the cell may depend on one of these.
 pub(super) fn passes(grid: &Visagge, place: TileIndex, cell: &Cell, spots: &[Spot]) -> bool {
     let index = cell.index(place);
     let point = [index.x, index.y].map(|index| (f64::from(index) + 0.5) * grid.resolution);
     [Some(&cell.visible), cell.telling_too()].into_iter().flatten().any(|visible| {
         let [from, to] = visible.ends();
-        let is_near = |Spot { middle, radius }: &&Spot| {
-            (0..2).all(|axis| {
-                let (low, high) = (from[axis].min(to[axis]).min(0.0), from[axis].max(to[axis]).max(0.0));
-                (low - radius..=high + radius).contains(&(middle[axis] - point[axis]))
-            })
+        // All of these are in the triangle of the cell and both ends.
+        let ways =
+            OBSERVERS.map(|part| Way::to([0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part)));
+        let bounds =
+            [0, 1].map(|axis| [from[axis].min(to[axis]).min(0.0), from[axis].max(to[axis]).max(0.0)]);
+        let [from, to] = [from, to].map(Way::to);
+        let comes_into_triangle = |circle: Circle| {
+            let is_within = |axis: usize| {
+                let [low, high] = bounds[axis];
+                (low - circle.radius..=high + circle.radius).contains(&circle.middle[axis])
+            };
+            is_within(0) && is_within(1) && {
+                let side = from.side(circle);
+                side == 0 || side != to.side(circle)
+            }
         };
-        let ways = LazyCell::new(|| {
-            OBSERVERS.map(|part| {
-                let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
-                ([x, y], (x * x + y * y).sqrt())
-            })
-        });
-        spots.iter().filter(is_near).any(|Spot { middle, radius }| {
-            let [to_x, to_y] = [0, 1].map(|axis| middle[axis] - point[axis]);
-            ways.iter().any(|([x, y], range)| {
-                let (along, across) = (to_x * x + to_y * y, to_x * y - to_y * x);
-                let beside = radius * range;
-                across.abs() <= beside && along >= -beside && along <= range * range + beside
-            })
+        spots.iter().any(|spot| {
+            let around = spot.around.seen_from(point);
+            comes_into_triangle(around)
+                && ways.iter().any(|way| {
+                    way.comes_into(around) && spot.each().any(|cell| way.comes_into(cell.seen_from(point)))
+                })
         })
     })
 }
@@ -442,7 +528,7 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
         let mirror = mirrors.and_then(|mirrors| mirrors.nearest(column, row, sight.round));
         let Some(mirror) = mirror else { return false };
         let block = Block::of(place.cell(column, row));
-        let [mirrored, image_of_sensor] = mirror.reflect([point, sensor]);
+        let [mirrored, image_of_sensor] = mirror.plane.reflect([point, sensor]);
         let is_within = |reach: f64, [x, y]: [f64; 2]| {
             (mirrored[0] - x).powi(2) + (mirrored[1] - y).powi(2) <= reach * reach
         };
@@ -459,11 +545,11 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
         let explains = is_within(BODY + tolerance, sensor)
             || grid.has_original(mirrored, || *seen_from, tolerance, sought);
         let needed = (range / SEES).max(if sight.has_glinted { OF_GLINTS } else { 0.0 });
-        let incidence = || mirror.line.off_normal(view[1].atan2(view[0]));
+        let incidence = || mirror.plane.off_normal(view[1].atan2(view[0]));
         let by_glass = || needed <= glass_reflects(incidence()) || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
             (true, _) if by_glass() => Image::Yes,
-            (true, _) if grid.runs_along(point, mirror.normal(), sought) => Image::Unknown(block),
+            (true, _) if grid.runs_along(point, mirror.plane.normal(), sought) => Image::Unknown(block),
             (true, _) => Image::IfOpaque(block),
             (false, Image::No) if grid.is_crossed(mirrored, sought) => Image::Unexplained(block),
             (false, Image::No) => Image::Unknown(block),
@@ -507,46 +593,51 @@ fn follow<'a>(
     // Half a cell: rows of cells that touch at their corners only are not slipped through.
     let step = resolution / 2.0;
     let end = sight.range - CLEAR_OF_CELL;
-    // As far as the first of the steps that is there, or beyond.
-    let leap =
-        |distance: f64, to: f64| step * (whole((to - distance) * (2.0 / resolution) + 0.5).max(0) as f64);
     let course = Course::of(sight, resolution);
-    let mut distance = CLEAR_OF_SENSOR;
-    while distance < end {
+    // Steps are counted from where it begins and, having met a cell, behind that: where they end depends on nothing else, not even on
+    // rounding.
+    let mut origin = CLEAR_OF_SENSOR;
+    let mut entered = 0;
+    let at = |origin: f64, steps: i64| origin + step * steps as f64;
+    // The first that ends there (m) or beyond, or before that by no more than rounding.
+    let first = |origin: f64, to: f64| whole((to - origin) * (2.0 / resolution) + (0.5 - 1e-6)).max(0);
+    while at(origin, entered) < end {
+        let distance = at(origin, entered);
         let place = course.tile(distance);
         let course = course.inside(place);
         let leaves = course.leaves(f64::from(SIDE));
-        let entered = distance;
         let evidence = crossed.tile(grid, place).and_then(|tile| tile.evidence.as_deref());
-        let Some((evidence, cells)) = evidence.and_then(|evidence| Some((evidence, cells(evidence)?))) else {
-            distance = leaves.max(distance) + step / 8.0;
-            continue;
-        };
-        let mut squares = course.squares(distance, leaves.min(end), cells.squares());
-        while squares != 0 {
-            let square = course.first(squares);
-            squares &= !(1 << square);
-            let [enters, leaves] = course.crosses(square);
-            if enters > leaves {
-                continue;
-            }
-            distance += leap(distance, enters);
-            loop {
-                let (steps, cell) = course.go_on(square, cells.cells(square), distance, step);
-                distance += step * f64::from(steps);
-                let Some(cell) = cell.filter(|_| distance < end) else { break };
-                crossed.met = true;
-                if visit(evidence, place, cell, distance) {
-                    return true;
+        let found = evidence.and_then(|evidence| Some((evidence, cells(evidence)?)));
+        let mut steps = entered;
+        if let Some((evidence, cells)) = found {
+            let mut squares = course.squares(distance, leaves.min(end), cells.squares());
+            while squares != 0 {
+                let square = course.first(squares);
+                squares &= !(1 << square);
+                let [enters, leaves] = course.crosses(square);
+                if enters > leaves {
+                    continue;
                 }
-                distance += THICKNESS;
+                let mut from = first(origin, enters).max(steps);
+                while let Some((further, cell)) =
+                    course.go_on(square, cells.cells(square), at(origin, from), step)
+                {
+                    let distance = at(origin, from + further);
+                    if distance >= end {
+                        break;
+                    }
+                    crossed.met = true;
+                    if visit(evidence, place, cell, distance) {
+                        return true;
+                    }
+                    (origin, steps, from) = (distance + THICKNESS, 0, 0);
+                }
             }
         }
-        distance += leap(distance, leaves);
+        steps = first(origin, leaves).max(steps);
         // On a border, rounding may tell that it is in this tile and, in the tile's own columns and rows, that it is not.
-        if course.is_inside(distance) || distance == entered {
-            distance += step;
-        }
+        let is_stuck = at(origin, steps) <= distance;
+        entered = steps + i64::from(is_stuck || course.is_inside(at(origin, steps)));
     }
     false
 }
@@ -593,8 +684,9 @@ impl Course {
     }
 
     /// Goes on from there (m) in steps, to the first of these cells in the square of 8 x 8 with this number (a bit for each, row by row).
-    /// Gives how many steps that takes, and column and row; without them where the square is left before.
-    fn go_on(&self, square: usize, cells: u64, from: f64, step: f64) -> (u32, Option<[usize; 2]>) {
+    /// Gives how many steps that takes, and column and row; nothing where the square is left before. It may begin before the square,
+    /// by no more than a step.
+    fn go_on(&self, square: usize, cells: u64, from: f64, step: f64) -> Option<(i64, [usize; 2])> {
         // Whole numbers: rounding down is a shift. 2^-40 of a cell a step is less than all else rounds.
         const ONE: f64 = (1u64 << 40) as f64;
         let low = [square & 7, square >> 3].map(|at| 8 * at as i64);
@@ -604,11 +696,12 @@ impl Course {
         let mut steps = 0;
         loop {
             let [x, y] = at.map(|at| at >> 40);
-            if (x | y) & !7 != 0 {
-                return (steps, None);
-            }
-            if cells >> (8 * y + x) & 1 == 1 {
-                return (steps, Some([(low[0] + x) as usize, (low[1] + y) as usize]));
+            if (x | y) & !7 == 0 {
+                if cells >> (8 * y + x) & 1 == 1 {
+                    return Some((steps, [(low[0] + x) as usize, (low[1] + y) as usize]));
+                }
+            } else if steps > 0 {
+                return None;
             }
             at = [at[0] + along[0], at[1] + along[1]];
             steps += 1;
@@ -685,9 +778,10 @@ impl Visagge {
     }
 
     /// Whether a beam has crossed the point; `sought` takes in where that was looked up.
-    fn is_crossed(&self, point: [f64; 2], sought: &mut Lookup) -> bool {
+    fn is_crossed(&self, point: [f64; 2], sought: &mut Sought) -> bool {
         let (place, column, row) = self.cell_near(point).split();
-        sought.tile(self, place).is_some_and(|tile| tile.free[row] >> column & 1 == 1)
+        let cells = [[column, row]; 2];
+        sought.tile(self, place, cells).is_some_and(|tile| tile.free[row] >> column & 1 == 1)
     }
 
     /// Whether a cell that is shown, and that is seen from this direction, lies within this distance of the point (m), in x and in y;
@@ -697,7 +791,7 @@ impl Visagge {
         point: [f64; 2],
         seen_from: impl Fn() -> Angle,
         distance: f64,
-        sought: &mut Lookup,
+        sought: &mut Sought,
     ) -> bool {
         self.is_any_shown(point, distance, sought, |evidence, column, row| {
             !self.settings.has(Idea::Originals) || evidence.is_seen(column, row, &seen_from)
@@ -706,7 +800,7 @@ impl Visagge {
 
     /// Whether what is shown goes on from the point in this direction, or in the opposite one. Such a wall is its own image in a mirror that
     /// it runs straight at, and may stand on both sides of glass as well: it tells neither.
-    fn runs_along(&self, point: [f64; 2], [x, y]: [f64; 2], sought: &mut Lookup) -> bool {
+    fn runs_along(&self, point: [f64; 2], [x, y]: [f64; 2], sought: &mut Sought) -> bool {
         self.settings.has(Idea::Symmetry)
             && [-RUNS_ON, RUNS_ON].into_iter().any(|way| {
                 let beside = [point[0] + way * x, point[1] + way * y];
@@ -720,7 +814,7 @@ impl Visagge {
         &self,
         point: [f64; 2],
         distance: f64,
-        sought: &mut Lookup,
+        sought: &mut Sought,
         holds: impl Fn(&Evidence, usize, usize) -> bool,
     ) -> bool {
         let low = self.cell_near(point.map(|at| at - distance));
@@ -731,10 +825,12 @@ impl Visagge {
                 if y == first.y { bottom } else { 0 }..=if y == last.y { top } else { SIDE as usize - 1 };
             (first.x..=last.x).any(|x| {
                 let from = if x == first.x { left } else { 0 };
-                let beyond = if x == last.x { SIDE as usize - 1 - right } else { 0 };
-                let columns = (u64::MAX << from) & (u64::MAX >> beyond);
+                let to = if x == last.x { right } else { SIDE as usize - 1 };
+                let columns = (u64::MAX << from) & (u64::MAX >> (SIDE as usize - 1 - to));
                 let place = TileIndex { x, y };
-                sought.tile(self, place).and_then(|tile| tile.evidence.as_ref()).is_some_and(|evidence| {
+                let cells = [[from, *rows.start()], [to, *rows.end()]];
+                let tile = sought.tile(self, place, cells);
+                tile.and_then(|tile| tile.evidence.as_ref()).is_some_and(|evidence| {
                     let shown = &evidence.shown[rows.clone()];
                     // Nearly always there is none.
                     let is_any = shown.iter().fold(0, |all, cells| all | cells) & columns != 0;
@@ -800,7 +896,7 @@ mod tests {
                 assert!(!follow(
                     &grid,
                     &sight,
-                    &mut Lookups::from(Sources::default()).crossed,
+                    &mut Lookups::of(TileIndex { x: 0, y: 0 }, Sources::default()).crossed,
                     cells,
                     |_, _, _, _| false
                 ));
@@ -950,7 +1046,8 @@ mod tests {
             let number = evidence.slots.get(place_of([column as u8, row as u8])).expect("it was drawn");
             let mut cell = evidence.cells.get(number);
             cell.returns.glints = glints;
-            let (mut sights, mut lookups) = (Sights::default(), Lookups::from(Sources::default()));
+            let (mut sights, mut lookups) =
+                (Sights::default(), Lookups::of(TileIndex { x: 0, y: 0 }, Sources::default()));
             super::image(&grid, place, &cell, ROUNDS - 1, &mut sights, &mut lookups)
         };
         let rows = [at(1.61, &mirror), at(0.91, &original), at(2.31, &image)];

@@ -25,24 +25,59 @@ impl BitOr for Squares {
 }
 
 impl Squares {
-    /// All of them.
-    pub const ALL: Squares = Squares(u64::MAX);
-
     /// Takes in the square that holds the cell in this column and row.
     pub fn insert(&mut self, [column, row]: [u8; 2]) {
         self.0 |= 1 << (row & 0o70 | column >> 3);
+    }
+
+    /// Those that hold one of these cells, of which each has a bit, a word a row.
+    pub fn of(rows: [u64; SIDE as usize]) -> Squares {
+        let (rows, _) = rows.as_chunks();
+        Squares::of_counts(rows.iter().map(|rows: &[u64; 8]| rows.iter().fold(0, |all, cells| all | cells)))
+    }
+
+    /// Those whose byte is not 0, of words for the squares of eight rows each.
+    fn of_counts(counts: impl Iterator<Item = u64>) -> Squares {
+        let squares = |(row, counts): (usize, u64)| {
+            let bit = |(column, count): (usize, u8)| u64::from(count != 0) << (8 * row + column);
+            counts.to_le_bytes().into_iter().enumerate().map(bit).fold(0, |all, bit| all | bit)
+        };
+        Squares(counts.enumerate().map(squares).fold(0, |all, squares| all | squares))
     }
 
     /// Whether there is none.
     pub fn is_empty(self) -> bool {
         self.0 == 0
     }
+}
 
-    /// Column and row of each, among the squares.
-    pub fn iter(self) -> impl Iterator<Item = [usize; 2]> {
-        (0..64).filter(move |square| self.0 >> square & 1 == 1).map(|square| [square & 7, square >> 3])
+/// How many cells there are in each square of a tile: a word for the squares of eight rows, a byte for each of these.
+#[derive(Clone, Debug, Default)]
+pub struct Counts([u64; IN_TILE as usize]);
+
+impl Counts {
+    /// From now on, of these cells, of which each has a bit, a word a row. Gives the squares in which there were not as many.
+    pub fn update(&mut self, rows: &[u64; SIDE as usize]) -> Squares {
+        let (rows, _) = rows.as_chunks();
+        let count = |rows: &[u64; 8]| rows.iter().map(|cells| ones_by_byte(*cells)).sum();
+        let counts = std::array::from_fn(|row| count(&rows[row]));
+        let before = std::mem::replace(&mut self.0, counts);
+        Squares::of_counts(counts.into_iter().zip(before).map(|(count, before)| count ^ before))
     }
 }
+
+/// How many bits are set in each byte.
+fn ones_by_byte(word: u64) -> u64 {
+    const EVERY_OTHER: u64 = 0x5555_5555_5555_5555;
+    const PAIRS: u64 = 0x3333_3333_3333_3333;
+    const NIBBLES: u64 = 0x0f0f_0f0f_0f0f_0f0f;
+    let pairs = word - (word >> 1 & EVERY_OTHER);
+    let nibbles = (pairs & PAIRS) + (pairs >> 2 & PAIRS);
+    (nibbles + (nibbles >> 4)) & NIBBLES
+}
+
+/// The first column of a square's cells.
+const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
 
 /// Some cells of a tile, square by square, for lines that go from one square to the next.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -68,6 +103,11 @@ impl From<[u64; SIDE as usize]> for CellsBySquare {
 }
 
 impl CellsBySquare {
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.squares == 0
+    }
+
     /// A bit for each square that holds one, row by row.
     pub fn squares(&self) -> u64 {
         self.squares
@@ -79,18 +119,53 @@ impl CellsBySquare {
         if self.squares >> square & 1 == 1 { self.cells[before as usize] } else { 0 }
     }
 
-    /// Where a line of sight that met none of those `before` may meet one of these, or goes another way (from square to square that
-    /// holds some).
-    pub fn beyond(&self, before: &CellsBySquare) -> Squares {
-        let both = self.squares & before.squares;
-        let others = |square: &usize| self.cells(*square) & !before.cells(*square) != 0;
-        let grown = (0..64).filter(|square| both >> square & 1 == 1).filter(others);
-        Squares(grown.fold(self.squares ^ before.squares, |squares, square| squares | 1 << square))
+    /// A bit for each of them, a word a row.
+    pub fn rows(&self) -> [u64; SIDE as usize] {
+        let mut rows = [0; SIDE as usize];
+        for (square, cells) in self.iter() {
+            for (row, cells) in (square & 0o70..).zip(cells.to_le_bytes()) {
+                rows[row] |= u64::from(cells) << (8 * (square & 7));
+            }
+        }
+        rows
     }
 
-    /// The squares in which others are.
-    pub fn unlike(&self, others: &CellsBySquare) -> Squares {
-        self.beyond(others) | others.beyond(self)
+    /// The squares that hold one, and a bit for each of those in it, row by row.
+    pub fn iter(&self) -> impl Iterator<Item = (usize, u64)> {
+        cells_of(self.squares).zip(self.cells.iter().copied())
+    }
+
+    /// The squares that hold one.
+    pub fn in_squares(&self) -> Squares {
+        Squares(self.squares)
+    }
+
+    /// Those that are none of these others.
+    pub fn but(&self, others: &CellsBySquare) -> CellsBySquare {
+        self.joined(others, |cells, others| cells & !others)
+    }
+
+    /// Those that are one of both only.
+    pub fn unlike(&self, others: &CellsBySquare) -> CellsBySquare {
+        self.joined(others, |cells, others| cells ^ others)
+    }
+
+    /// Those that are one of either.
+    pub fn or(&self, others: &CellsBySquare) -> CellsBySquare {
+        self.joined(others, |cells, others| cells | others)
+    }
+
+    /// What this makes of the cells of each square.
+    fn joined(&self, others: &CellsBySquare, join: impl Fn(u64, u64) -> u64) -> CellsBySquare {
+        let mut joined = CellsBySquare::default();
+        for square in cells_of(self.squares | others.squares) {
+            let cells = join(self.cells(square), others.cells(square));
+            if cells != 0 {
+                joined.squares |= 1 << square;
+                joined.cells.push(cells);
+            }
+        }
+        joined
     }
 
     /// Whether the cell in this column and row is one of them.
@@ -207,6 +282,64 @@ impl Reach {
                 self.high[axis] = self.high[axis].max(at);
             }
         }
+    }
+}
+
+/// The smallest rectangle of squares that holds some places, which may be in any tile. Columns and rows are counted from a tile's first
+/// square; what is farther than can be told is taken for as far as can be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Extent {
+    low: [i8; 2],
+    high: [i8; 2],
+}
+
+impl Default for Extent {
+    /// Of nothing.
+    fn default() -> Extent {
+        Extent { low: [i8::MAX; 2], high: [i8::MIN; 2] }
+    }
+}
+
+impl Extent {
+    /// Takes in the cells between these two of that tile, seen from a tile.
+    pub fn extend(&mut self, from: TileIndex, tile: TileIndex, [low, high]: [[usize; 2]; 2]) {
+        let first = Extent::first(from, tile);
+        for axis in 0..2 {
+            let at = |at: usize| first[axis].saturating_add(at as i32 >> 3);
+            let told = |at: i32| at.clamp(i8::MIN.into(), i8::MAX.into()) as i8;
+            self.low[axis] = self.low[axis].min(told(at(low[axis])));
+            self.high[axis] = self.high[axis].max(told(at(high[axis])));
+        }
+    }
+
+    /// The smallest that holds both.
+    pub fn and(self, other: Extent) -> Extent {
+        let [low, high] = [[self.low, other.low], [self.high, other.high]];
+        Extent {
+            low: [0, 1].map(|axis| low[0][axis].min(low[1][axis])),
+            high: [0, 1].map(|axis| high[0][axis].max(high[1][axis])),
+        }
+    }
+
+    /// Whether one of these squares of that tile may be in it, seen from the same tile.
+    pub fn touches(&self, from: TileIndex, tile: TileIndex, Squares(squares): Squares) -> bool {
+        let first = Extent::first(from, tile);
+        let [columns, rows] = [0, 1].map(|axis| {
+            let low = if self.low[axis] == i8::MIN { i32::MIN } else { self.low[axis].into() };
+            let high = if self.high[axis] == i8::MAX { i32::MAX } else { self.high[axis].into() };
+            let [low, high] = [low, high].map(|at| at.saturating_sub(first[axis]));
+            (low <= high && low < IN_TILE && high >= 0).then(|| [low.max(0), high.min(IN_TILE - 1)])
+        });
+        let (Some([left, right]), Some([bottom, top])) = (columns, rows) else { return false };
+        let columns = (2u64 << right) - (1 << left);
+        let all = columns * FIRST_COLUMN;
+        squares & all & (u64::MAX << (8 * bottom)) & (u64::MAX >> (8 * (IN_TILE - 1 - top))) != 0
+    }
+
+    /// Column and row of a tile's first square, seen from another.
+    fn first(from: TileIndex, tile: TileIndex) -> [i32; 2] {
+        [(tile.x, from.x), (tile.y, from.y)]
+            .map(|(tile, from)| tile.saturating_sub(from).saturating_mul(IN_TILE))
     }
 }
 

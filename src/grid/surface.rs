@@ -69,9 +69,14 @@ impl Line {
 
     /// Angle between the normal and a view (rad, 0..pi/2).
     pub fn off_normal(&self, seen_from: f64) -> f64 {
-        let off = (f64::from(self.normal) - seen_from).rem_euclid(PI);
-        off.min(PI - off)
+        off_normal(f64::from(self.normal), seen_from)
     }
+}
+
+/// Angle between a line's normal and a view (rad, 0..pi/2).
+pub fn off_normal(normal: f64, seen_from: f64) -> f64 {
+    let off = (normal - seen_from).rem_euclid(PI);
+    off.min(PI - off)
 }
 
 /// Weighted moments of points.

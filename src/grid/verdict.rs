@@ -16,7 +16,7 @@ use super::{
     cell::{Cell, Returns},
     idea::Idea,
     judge::Shape,
-    mirrors::Mirror,
+    mirrors::{Mirror, Plane},
     squares::{CellsAround, Reach},
     surface::{Line, OF_PILLAR, OF_PLANE, Window},
     tiles::{CellIndex, TileIndex},
@@ -221,7 +221,10 @@ impl Visagge {
         let verdict = shape(cell, line.as_ref(), has_come, settings);
         let mirror = line
             .filter(|line| verdict.is_shown() && is_seen_through && !is_single && line.is_flat())
-            .map(|line| Mirror::new(line, cell.visible.range));
+            .map(|line| {
+                let at = [index.x, index.y].map(|index| (f64::from(index) + 0.5) * self.resolution);
+                Mirror { plane: Plane::new(&line, at), visible: cell.visible.range }
+            });
         Shape { verdict, mirror, reach }
     }
 }

@@ -21,7 +21,7 @@ use super::{
     saved::PAUSE_NS,
     slots::Slots,
     snapshot::ShownTile,
-    squares::{CellsBySquare, Squares},
+    squares::{CellsBySquare, Counts, Squares},
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
     track::{LANES, Look, Track, distance_units},
@@ -123,8 +123,6 @@ pub(super) struct Evidence {
     looked_turn: i32,
     /// What was last judged of each of `cells`.
     pub(super) judgements: Vec<Judgement>,
-    /// Whether nothing was judged yet.
-    pub(super) is_new: bool,
     /// Whether they were hit or looked at since.
     pub(super) is_touched: bool,
     /// Squares out of which cells were taken since.
@@ -160,7 +158,6 @@ impl Default for Evidence {
             looked_scan: 0,
             looked_turn: 0,
             judgements: Vec::new(),
-            is_new: true,
             is_touched: true,
             emptied: Squares::default(),
             shaped: [0; SIDE as usize],
@@ -282,15 +279,15 @@ pub(super) struct Tile {
     pub(super) free: [u64; SIDE as usize],
     /// The cells in which returns have landed.
     pub(super) evidence: Option<Box<Evidence>>,
-    /// Sum of the words of `free` when last judged: since bits are only ever set, it has grown where any was.
-    pub(super) judged_free: u128,
+    /// How many bits of `free` were set in each square when last judged.
+    pub(super) judged_free: Counts,
     /// What others see of it, if somebody holds that still and nothing has changed since.
     pub(super) shown: Weak<ShownTile>,
 }
 
 impl Default for Tile {
     fn default() -> Self {
-        Tile { free: [0; SIDE as usize], evidence: None, judged_free: 0, shown: Weak::new() }
+        Tile { free: [0; SIDE as usize], evidence: None, judged_free: Counts::default(), shown: Weak::new() }
     }
 }
 
