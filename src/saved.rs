@@ -17,7 +17,7 @@ use crate::mapper::{MapperKind, MapperSettings};
 /// First bytes of the file.
 const MAGIC: [u8; 8] = *b"VISAGGE\n";
 /// Version of the format; grows whenever [`SavedMap`] changes.
-pub const VERSION: u32 = 4;
+pub const VERSION: u32 = 5;
 /// Length of all before the zstd frame: magic 8, version 4, length of the content 8, CRC-32 of all other bytes 4.
 pub const HEADER: usize = 24;
 /// No content is longer (bytes): a grid of a square kilometre with evidence in every tenth cell.
@@ -338,8 +338,8 @@ mod tests {
             hit_scan: 70_000,
             visible,
             visible_too: Some(visible),
-            missed: [400, 900],
-            seen_again: true,
+            missed_width: 900,
+            missed_since: [400, 800],
             centroid: [0.25, 0.75],
             hit_time: [0.5, 100.0],
         };

@@ -6,7 +6,6 @@ use super::{
     angle::{Angle, AngleRange, atan2},
     tiles::{CellIndex, TileIndex},
     track::{Event, Track, UNITS_PER_M},
-    view::SEEN_AGAIN,
 };
 
 /// The rule of the core algorithm, in numbers.
@@ -171,10 +170,10 @@ pub struct Cell {
     pub visible: Visible,
     /// The widest such range apart from `visible`; empty where `way` is negative.
     pub visible_too: Visible,
-    /// The widest range of misses that it survived.
-    pub missed: AngleRange,
-    /// Whether it was seen after that.
-    pub seen_again: bool,
+    /// Width of the widest range of misses that it survived (units of [`Angle`](super::angle::Angle)).
+    pub missed_width: u16,
+    /// The widest since it was last observed.
+    pub missed_since: AngleRange,
 }
 
 impl Cell {
@@ -186,8 +185,8 @@ impl Cell {
             returns: *returns,
             visible,
             visible_too,
-            missed: track.missed,
-            seen_again: track.place & SEEN_AGAIN != 0,
+            missed_width: track.missed_width,
+            missed_since: track.missed_since,
         }
     }
 
@@ -211,12 +210,11 @@ impl Cell {
     /// where it is seen from, as far as that tells of images, and whether it has glinted, which is all that its lines of sight depend on,
     /// the second of the rest.
     pub fn fingerprints(&self) -> [u64; 2] {
-        let Cell { returns, visible, visible_too, missed, seen_again } = self;
+        let Cell { returns, visible, visible_too, missed_width, missed_since } = self;
         let pair = |[a, b]: [u32; 2]| u64::from(a) << 32 | u64::from(b);
         let floats = |floats: [f32; 2]| pair(floats.map(f32::to_bits));
         let range = |range: &AngleRange| u32::from(range.start.0) << 16 | u32::from(range.width);
-        let counts =
-            u32::from_le_bytes([returns.occupancy, returns.passes, returns.glints, u8::from(*seen_again)]);
+        let counts = u32::from_le_bytes([returns.occupancy, returns.passes, returns.glints, 0]);
         // Without a second range, its ends are no distance at all.
         let too = |visible: &Visible| [floats(visible.ranges), u64::from(range(&visible.range))];
         let [telling_ends, telling] = self.telling_too().map(too).unwrap_or_default();
@@ -230,7 +228,7 @@ impl Cell {
         let rest = [
             floats(returns.centroid),
             floats(returns.hit_time),
-            pair([range(missed), u32::from(returns.hits)]),
+            pair([range(missed_since), u32::from(*missed_width) << 16 | u32::from(returns.hits)]),
             u64::from(counts) << 32 | range_too,
             ends_too,
         ];

@@ -45,7 +45,7 @@ impl Visagge {
             at: cell.returns_at(index, resolution),
             seen_from: cell.visible.range.middle().rad(),
             hits: cell.returns.hits,
-            is_opaque: u32::from(cell.missed.width) <= units(SEEN_THROUGH),
+            is_opaque: u32::from(cell.missed_width) <= units(SEEN_THROUGH),
         });
         let middle = |at: i32| (f64::from(at) + 0.5) * resolution;
         KnownPlaces {

@@ -156,7 +156,7 @@ mod avx2 {
     use crate::grid::{
         angle::{ATAN, ROUNDER},
         track::{Block, Event, LANES, Run, Sectors, TENTH, UNITS_PER_M},
-        view::{Around, Crossing, FARTHEST, HIT, INVERSE, LEAST_DISTANCE, SEEN_AGAIN},
+        view::{Around, Crossing, FARTHEST, HIT, INVERSE, LEAST_DISTANCE},
         visagge::{Glance, Vantage},
     };
     use std::{arch::x86_64::*, f32::consts};
@@ -381,9 +381,14 @@ mod avx2 {
             set_way(&mut block.way_too, glance.way, keep(becomes_too));
         }
         let width = _mm256_max_epu16(sector.width, words(1));
-        let is_widest = keep(_mm256_andnot_si256(at_least(load(&block.missed_width), width), survived));
-        blend(&mut block.missed_start, sector.start, is_widest);
-        blend(&mut block.missed_width, width, is_widest);
+        let survived = keep(survived);
+        let missed_width = load(&block.missed_width);
+        store(&mut block.missed_width, _mm256_max_epu16(missed_width, _mm256_and_si256(width, survived)));
+        let since_width = load(&block.since_width);
+        let is_widest = _mm256_andnot_si256(at_least(since_width, width), survived);
+        blend(&mut block.since_start, sector.start, is_widest);
+        let since_width = _mm256_blendv_epi8(since_width, width, is_widest);
+        store(&mut block.since_width, _mm256_andnot_si256(keep(seen), since_width));
 
         // Of what is unsure, a run of observation is left, and the number of misses; of what is hidden nothing.
         let run_now = _mm256_or_si256(
@@ -400,12 +405,8 @@ mod avx2 {
         // Lanes that are left to the scalar path have followed, or what they were does not matter.
         store(&mut block.run, _mm256_blendv_epi8(run_now, run, closely));
         store(&mut block.missed_scans, _mm256_blendv_epi8(missed_scans_now, missed_scans, closely));
-        let seen_again = _mm256_and_si256(keep(seen), words(SEEN_AGAIN));
-        let unmarked = _mm256_or_si256(
-            _mm256_and_si256(plainly, words(HIT)),
-            _mm256_and_si256(is_widest, words(SEEN_AGAIN)),
-        );
-        store(&mut block.place, _mm256_or_si256(_mm256_andnot_si256(unmarked, place), seen_again));
+        let unmarked = _mm256_and_si256(plainly, words(HIT));
+        store(&mut block.place, _mm256_andnot_si256(unmarked, place));
         _mm256_movemask_epi8(closely) as u32
     }
 

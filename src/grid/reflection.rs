@@ -920,7 +920,8 @@ mod tests {
             let missed = AngleRange { start: from(bearings[1]), width: units(0.5) as u16 };
             let track = Track {
                 visible: Sector { range, ends: [distance_units(*seen); 2] },
-                missed: if *is_missed { missed } else { AngleRange::default() },
+                missed_width: if *is_missed { missed.width } else { 0 },
+                missed_since: if *is_missed { missed } else { AngleRange::default() },
                 ..Track::default()
             };
             let tile = grid.tiles.find_or_make(place);

@@ -10,7 +10,6 @@ use super::{
     cell::Returns,
     tiles::{SIDE, TileIndex},
     track::{Sector, Track},
-    view::SEEN_AGAIN,
     visagge::{Visagge, VisaggeSettings},
 };
 use serde::{Deserialize, Serialize};
@@ -75,9 +74,9 @@ pub struct SavedCell {
     pub hit_scan: u32,
     pub visible: SavedSector,
     pub visible_too: Option<SavedSector>,
+    pub missed_width: u16,
     /// Clockwise end and width (units of [`Angle`]).
-    pub missed: [u16; 2],
-    pub seen_again: bool,
+    pub missed_since: [u16; 2],
     pub centroid: [f32; 2],
     pub hit_time: [f32; 2],
 }
@@ -136,8 +135,8 @@ impl SavedCell {
             hit_scan: cell.hit_scan,
             visible: SavedSector::of(&track.visible, track.way),
             visible_too: too.exists().then(|| SavedSector::of(&too, track.way_too)),
-            missed: [track.missed.start.0, track.missed.width],
-            seen_again: track.place & SEEN_AGAIN != 0,
+            missed_width: track.missed_width,
+            missed_since: [track.missed_since.start.0, track.missed_since.width],
             centroid: cell.centroid,
             hit_time: cell.hit_time,
         }
@@ -159,8 +158,8 @@ impl SavedCell {
             way: self.visible.way,
             visible_too: self.visible_too.map(SavedSector::sector).unwrap_or_default(),
             way_too: self.visible_too.map_or(0.0, |too| too.way),
-            missed: range(self.missed),
-            place: if self.seen_again { SEEN_AGAIN } else { 0 },
+            missed_width: self.missed_width,
+            missed_since: range(self.missed_since),
             ..Track::default()
         };
         (cell, track)
@@ -331,7 +330,7 @@ mod tests {
             assert!(going_on.map().occupancy.iter().filter(|cell| **cell == 100).count() > 20);
             let saved = going_on.save();
             let mut cells = saved.tiles.iter().flat_map(|tile| tile.cells.iter().flatten());
-            assert!(cells.any(|cell| cell.missed[1] > 1000 && cell.visible.range[1] > 0), "the pane");
+            assert!(cells.any(|cell| cell.missed_width > 1000 && cell.visible.range[1] > 0), "the pane");
         }
     }
 

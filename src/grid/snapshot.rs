@@ -40,14 +40,15 @@ struct ShownCell {
 
 /// The layers of map.npz.
 const BYTES: [&str; 5] = ["occupancy_count", "passes", "glints", "verdict", "image"];
-const WORDS: [&str; 7] = [
+const WORDS: [&str; 8] = [
     "hits",
     "visible_start",
     "visible_width",
     "visible_too_start",
     "visible_too_width",
-    "missed_start",
     "missed_width",
+    "missed_since_start",
+    "missed_since_width",
 ];
 
 impl From<Map> for Snapshot {
@@ -132,10 +133,10 @@ impl ShownTile {
 
 impl ShownCell {
     fn of(cell: &Cell, judgement: &Judgement) -> ShownCell {
-        let Cell { returns, visible, visible_too, missed, .. } = cell;
+        let Cell { returns, visible, visible_too, missed_width, missed_since } = cell;
         let too = if visible_too.way >= 0.0 { visible_too.range } else { AngleRange::default() };
-        let ranges = [visible.range, too, *missed].map(|range| [range.start.0, range.width]);
-        let [[visible_start, visible_width], [too_start, too_width], [missed_start, missed_width]] = ranges;
+        let ranges = [visible.range, too, *missed_since].map(|range| [range.start.0, range.width]);
+        let [[visible_start, visible_width], [too_start, too_width], [since_start, since_width]] = ranges;
         ShownCell {
             place: returns.place,
             is_shown: judgement.verdict.is_shown(),
@@ -152,8 +153,9 @@ impl ShownCell {
                 visible_width,
                 too_start,
                 too_width,
-                missed_start,
-                missed_width,
+                *missed_width,
+                since_start,
+                since_width,
             ],
         }
     }
@@ -164,7 +166,7 @@ impl ShownCell {
 
     /// Percentage of the view angles that the cell was missed from, among those it was looked at from.
     fn specularity(&self) -> i8 {
-        let [_, _, visible, _, _, _, missed] = self.words.map(u32::from);
+        let [_, _, visible, _, _, missed, ..] = self.words.map(u32::from);
         (100 * missed / (missed + visible).max(1)) as i8
     }
 }

@@ -8,7 +8,7 @@
 use super::{
     angle::{Angle, AngleRange, whole},
     cell::{Rule, Visible},
-    view::{HIT, Observation, Place, SEEN_AGAIN},
+    view::{HIT, Observation, Place},
 };
 
 /// Units of distance in a metre. 15 bits then hold 64 m, and 2 mm are less than any error.
@@ -107,8 +107,10 @@ pub struct Track {
     pub visible_too: Sector,
     /// Way driven at the last observation of `visible_too` (m).
     pub way_too: f32,
-    /// The widest range of misses, phi_MISS, that it survived.
-    pub missed: AngleRange,
+    /// Width of the widest range of misses, phi_MISS, that it survived (units of [`Angle`]).
+    pub missed_width: u16,
+    /// The widest since it was last observed.
+    pub missed_since: AngleRange,
 }
 
 impl Track {
@@ -171,7 +173,7 @@ impl Track {
             again && i32::from(before.range.width) > rule.explained(look.way - self.way, look.range)
         };
         self.go_on(Run::Seen, look);
-        self.place |= SEEN_AGAIN;
+        self.missed_since.width = 0;
         self.missed_scans = 0;
         let (run, width) = (self.sector, self.sector.range.width);
         if run.range.meets(self.visible.range, rule.half_beam) || !rule.two_ranges {
@@ -203,9 +205,10 @@ impl Track {
         if contradicts(&self.visible, self.way) || contradicts(&self.visible_too, self.way_too) {
             return Event::Contradiction;
         }
-        if missed.width.max(1) > self.missed.width {
-            self.missed = AngleRange { start: missed.start, width: missed.width.max(1) };
-            self.place &= !SEEN_AGAIN;
+        let width = missed.width.max(1);
+        self.missed_width = self.missed_width.max(width);
+        if width > self.missed_since.width {
+            self.missed_since = AngleRange { start: missed.start, width };
         }
         Event::None
     }
@@ -265,8 +268,9 @@ pub struct Block {
     pub(super) missed_scans: [u16; LANES],
     pub(super) visible: Sectors,
     pub(super) visible_too: Sectors,
-    pub(super) missed_start: [u16; LANES],
     pub(super) missed_width: [u16; LANES],
+    pub(super) since_start: [u16; LANES],
+    pub(super) since_width: [u16; LANES],
     pub(super) way: [f32; LANES],
     pub(super) way_too: [f32; LANES],
 }
@@ -288,7 +292,8 @@ impl Block {
             way: self.way[lane],
             visible_too: self.visible_too.get(lane),
             way_too: self.way_too[lane],
-            missed: AngleRange { start: Angle(self.missed_start[lane]), width: self.missed_width[lane] },
+            missed_width: self.missed_width[lane],
+            missed_since: AngleRange { start: Angle(self.since_start[lane]), width: self.since_width[lane] },
         }
     }
 
@@ -313,8 +318,9 @@ impl Block {
         self.way[lane] = track.way;
         self.visible_too.set(lane, track.visible_too);
         self.way_too[lane] = track.way_too;
-        self.missed_start[lane] = track.missed.start.0;
-        self.missed_width[lane] = track.missed.width;
+        self.missed_width[lane] = track.missed_width;
+        self.since_start[lane] = track.missed_since.start.0;
+        self.since_width[lane] = track.missed_since.width;
     }
 }
 
@@ -392,21 +398,24 @@ mod tests {
         assert_eq!(drive.pass(0, 40, 0..=2), 0);
         assert_eq!(drive.pass(-40, 40, -1..=2), 0);
         assert_eq!(drive.cell.occupancy, 7);
-        assert!(u32::from(drive.track.missed.width) >= units(37f64.to_radians()));
+        assert!(u32::from(drive.track.missed_width) >= units(37f64.to_radians()));
     }
 
     #[test]
-    fn what_is_missed_to_the_end_was_not_seen_again() {
+    fn what_is_missed_to_the_end_counts_from_when_it_was_last_seen() {
         let mut drive = Drive::new(0.0);
+        let angle = |degrees: f64| Angle::from_rad(degrees.to_radians());
+        let range =
+            |from: f64, to: f64| AngleRange { start: angle(from), width: angle(to).0 - angle(from).0 };
         drive.pass(0, 40, 0..=2);
-        assert_eq!(drive.track.missed.start, Angle::from_rad(3f64.to_radians()));
-        assert_eq!(drive.track.place & SEEN_AGAIN, 0);
+        assert_eq!(drive.track.missed_since, range(3.0, 40.0));
         drive.pass(0, 1, 0..=1);
-        assert_eq!(drive.track.place & SEEN_AGAIN, SEEN_AGAIN);
+        assert_eq!(drive.track.missed_since.width, 0);
         drive.pass(41, 10, 0..=0);
-        assert_eq!(drive.track.place & SEEN_AGAIN, SEEN_AGAIN, "a narrower range of misses");
-        drive.pass(-40, -2, 0..=0);
-        assert_eq!(drive.track.place & SEEN_AGAIN, 0, "a wider one");
+        assert_eq!(drive.track.missed_since, range(10.0, 41.0), "narrower than before");
+        drive.pass(10, 20, 0..=0);
+        assert_eq!(drive.track.missed_since, range(10.0, 41.0), "the widest");
+        assert_eq!(drive.track.missed_width, range(3.0, 40.0).width, "of all");
     }
 
     #[test]
@@ -449,7 +458,7 @@ mod tests {
                 drive.track.record(Observation::Hidden, &drive.look(f64::from(degrees)), 1, &RULE);
             }
         }
-        assert!(drive.track.missed.width <= 1);
+        assert!(drive.track.missed_width <= 1);
     }
 
     #[test]

@@ -233,7 +233,7 @@ impl Visagge {
 pub(super) fn is_solid(cell: &Cell, settings: &VisaggeSettings) -> bool {
     let width = u32::from(cell.visible.range.width);
     let was_passed = cell.returns.was_passed && settings.has(Idea::Silences);
-    width >= 2 * u32::from(cell.missed.width)
+    width >= 2 * u32::from(cell.missed_width)
         && (!(cell.returns.was_crossed || was_passed)
             || width >= units(WIDE)
             || cell.lasted() >= LASTING
@@ -246,7 +246,7 @@ pub(super) fn is_solid(cell: &Cell, settings: &VisaggeSettings) -> bool {
 fn is_seen_through(cell: &Cell, alone: Verdict, settings: &VisaggeSettings) -> bool {
     let Returns { glints, hits, was_crossed, .. } = cell.returns;
     let glints_often = u16::from(glints) >= (hits / HITS_A_GLINT).clamp(1, u8::MAX.into());
-    let was_missed = u32::from(cell.missed.width) >= units(SEEN_THROUGH);
+    let was_missed = u32::from(cell.missed_width) >= units(SEEN_THROUGH);
     was_missed || (glints_often || was_crossed && alone == Verdict::Solid) && settings.has(Idea::Unmissed)
 }
 
@@ -275,11 +275,8 @@ fn glints(cell: &Cell, settings: &VisaggeSettings) -> bool {
 
 /// Whether the cell was missed to the end, and not for being looked at along the surface through it.
 fn is_gone(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> bool {
-    let is_grazing = line.is_some_and(|line| line.off_normal(cell.missed.middle().rad()) > GRAZING);
-    u32::from(cell.missed.width) >= units(GONE)
-        && !cell.seen_again
-        && !is_grazing
-        && settings.has(Idea::TakenAway)
+    let is_grazing = line.is_some_and(|line| line.off_normal(cell.missed_since.middle().rad()) > GRAZING);
+    u32::from(cell.missed_since.width) >= units(GONE) && !is_grazing && settings.has(Idea::TakenAway)
 }
 
 /// Whether nothing is seen through the cell, which is solid: it was not crossed before it was first seen, and it is seen from so many
@@ -364,7 +361,7 @@ mod tests {
         let shows = |missed: f64, glints: u8, hits: u16| {
             let mut cell =
                 Cell::of(&Returns { glints, hits, ..Returns::new([0, 0], false) }, &Track::default());
-            cell.missed.width = units(missed.to_radians()) as u16;
+            cell.missed_width = units(missed.to_radians()) as u16;
             is_seen_through(&cell, Verdict::Solid, &VisaggeSettings::default())
         };
         assert!(!shows(0.0, 0, 900));
@@ -393,13 +390,14 @@ mod tests {
     #[test]
     fn what_is_missed_to_the_end_where_it_would_return_has_gone() {
         let box_ = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0, glints: false };
-        let missed = |from: f64, seen_again| {
+        let missed = |from: f64, seen_again: bool| {
             let mut cell = Cell::of(&Returns::new([0, 0], false), &Track::default());
             cell.returns.occupancy = 9;
             cell.visible.range = AngleRange { start: Angle(0), width: units(1.0) as u16 };
             let start = Angle::from_rad(from.to_radians());
-            cell.missed = AngleRange { start, width: units(5f64.to_radians()) as u16 };
-            cell.seen_again = seen_again;
+            let range = AngleRange { start, width: units(5f64.to_radians()) as u16 };
+            cell.missed_width = range.width;
+            cell.missed_since = if seen_again { AngleRange::default() } else { range };
             shape(&cell, Some(&box_), false, &VisaggeSettings::default())
         };
         assert_eq!(missed(-50.0, false), Verdict::NoSurface);
@@ -414,7 +412,7 @@ mod tests {
             (cell.returns.occupancy, cell.returns.glints) = (2, glints);
             let wide = |degrees: f64| units(degrees.to_radians()) as u16;
             cell.visible.range = AngleRange { start: Angle(0), width: wide(degrees) };
-            cell.missed = AngleRange { start: Angle(wide(degrees)), width: wide(40.0) };
+            cell.missed_width = wide(40.0);
             shape(&cell, None, false, &VisaggeSettings::default())
         };
         assert_eq!(judged(2.0, 0), Verdict::NoSurface);
