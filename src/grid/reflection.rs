@@ -650,8 +650,6 @@ struct Course {
     /// How it goes on (cells a metre), and the inverse.
     along: [f64; 2],
     inverse: [f64; 2],
-    /// Columns that it crosses for each row.
-    slope: f64,
 }
 
 impl Course {
@@ -659,7 +657,7 @@ impl Course {
         let along = [0, 1].map(|axis| (sight.to[axis] - sight.from[axis]) / (sight.range * resolution));
         // No negative zeros.
         let inverse = along.map(|along| 1.0 / (along + 0.0));
-        Course { start: sight.from.map(|at| at / resolution), along, inverse, slope: along[0] * inverse[1] }
+        Course { start: sight.from.map(|at| at / resolution), along, inverse }
     }
 
     /// The tile that it is in there (m).
@@ -727,25 +725,20 @@ impl Course {
         [x[0].max(y[0]), x[1].min(y[1])]
     }
 
-    /// Those of these squares of 8 x 8 cells that it crosses between two distances (m) within the tile: a bit for each, row by row.
+    /// Those of these squares of 8 x 8 cells that are in the rectangle around its course between two distances (m) within the tile: a bit for
+    /// each, row by row.
     fn squares(&self, from: f64, to: f64, of: u64) -> u64 {
         if of == 0 {
             return 0;
         }
-        let ends = [from, to].map(|distance| self.at(distance).map(|at| at / 8.0));
-        let [low, high] = if self.along[1] >= 0.0 { ends } else { [ends[1], ends[0]] };
-        let square = |at: f64| whole(at - 0.5).clamp(0, 7);
-        let (first, last) = (square(low[1]), square(high[1]));
-        let column = |row: i64| low[0] + (row as f64 - low[1]) * self.slope;
-        let mut squares = 0;
-        for row in (first..=last).filter(|row| of >> (8 * row) & 0xff != 0) {
-            let enters = if row == first { low[0] } else { column(row) };
-            let leaves = if row == last { high[0] } else { column(row + 1) };
+        let [from, to] = [from, to].map(|distance| self.at(distance));
+        let [columns, rows] = [0, 1].map(|axis| {
             // A little more than that, for what lies on a border.
-            let (left, right) = (square(enters.min(leaves) - 1e-6), square(enters.max(leaves) + 1e-6));
-            squares |= ((2 << right) - (1 << left)) << (8 * row);
-        }
-        squares & of
+            let ends = [from[axis].min(to[axis]) - 1e-5, from[axis].max(to[axis]) + 1e-5];
+            ends.map(|at| whole(at / 8.0 - 0.5).clamp(0, 7))
+        });
+        let of_columns = ((2 << columns[1]) - (1 << columns[0])) * 0x0101_0101_0101_0101;
+        of & of_columns & u64::MAX << (8 * rows[0]) & u64::MAX >> (8 * (7 - rows[1]))
     }
 
     /// Which of these squares it comes to first.
