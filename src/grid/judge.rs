@@ -212,7 +212,7 @@ impl Visagge {
         for number in 0..self.tiles.len() {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
-            let walls = self.in_the_way(evidence, changes, BESIDE_WALLS, |change| &change.walls);
+            let walls = self.in_the_way(evidence, BESIDE_WALLS, |number| &changes.0[number].walls);
             if walls.is_empty() {
                 continue;
             }
@@ -230,17 +230,16 @@ impl Visagge {
         }
     }
 
-    /// Where these have changed, in the tiles that lines of sight to the cells of this one cross, and so far beside (m).
-    fn in_the_way(
+    /// Where these cells of each tile, by its number, are in the way of lines of sight to the cells of this one, or so far beside (m).
+    fn in_the_way<'a>(
         &self,
         evidence: &Evidence,
-        changes: &Changes,
         beside: f64,
-        cells: impl Fn(&Change) -> &CellsBySquare,
+        cells: impl Fn(usize) -> &'a CellsBySquare,
     ) -> Vec<Spot> {
         let crossed = evidence.sources.crossed.iter();
-        let changed = crossed.filter_map(|place| Some((place, cells(self.change(changes, place)?))));
-        changed.flat_map(|(place, cells)| Spot::of(place, cells, self.resolution, beside)).collect()
+        let found = crossed.filter_map(|place| Some((place, cells(self.tiles.find(place)?))));
+        found.flat_map(|(place, cells)| Spot::of(place, cells, self.resolution, beside)).collect()
     }
 
     /// Tells which cells that are shown may be images; before the last round, which of those that are mirrors.
@@ -248,10 +247,17 @@ impl Visagge {
         let is_last = round + 1 == ROUNDS;
         let idea = if is_last { Idea::Images } else { Idea::ImagesReflectNothing };
         let may_be = self.settings.has(Idea::Images) && self.settings.has(idea);
+        let was_sought = round > 0 && self.settings.has(Idea::ImagesReflectNothing);
+        let of_tile = |number| {
+            let mirrors = self.tiles.at(number).evidence.as_ref()?.mirrors.as_ref()?;
+            was_sought.then(|| mirrors.unlike_before(round))
+        };
+        let unlike_before: Vec<CellsBySquare> =
+            (0..self.tiles.len()).map(|number| of_tile(number).unwrap_or_default()).collect();
         for number in 0..self.tiles.len() {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
-            let others = self.in_the_way(evidence, changes, ROUNDED, |change| &change.mirrors[round]);
+            let others = self.in_the_way(evidence, ROUNDED, |number| &changes.0[number].mirrors[round]);
             let originals = evidence
                 .sources
                 .sought
@@ -264,7 +270,8 @@ impl Visagge {
             {
                 continue;
             }
-            let newly_met = self.in_the_way(evidence, changes, ROUNDED, |change| &change.newly_met[round]);
+            let newly_met = self.in_the_way(evidence, ROUNDED, |number| &changes.0[number].newly_met[round]);
+            let met_others = self.in_the_way(evidence, ROUNDED, |number| &unlike_before[number]);
             let mut lookups = Lookups::of(place, evidence.sources.clone());
             let judge = |(at, judgement): (usize, &Judgement)| {
                 let is_mirror = evidence.is_mirror(at);
@@ -292,6 +299,12 @@ impl Visagge {
                 };
                 if !is_due && !may_differ() {
                     return None;
+                }
+                if was_sought && !is_first && !passes(&met_others) {
+                    // What it met in the round before, it meets in this one.
+                    let place = place_of(cell.returns.place);
+                    let image = evidence.mirrors.as_ref()?.image(place, round - 1)?;
+                    return Some(Found { at, image, sights, sought });
                 }
                 let image = reflection::image(self, place, &cell, round, &mut sights, &mut lookups);
                 let is_new = is_due && is_first;

@@ -175,6 +175,17 @@ impl Mirrors {
         self.images.iter().map(move |images| images[round])
     }
 
+    /// How the one at this place may be an image in a round, which is not the last, if it is one of them.
+    pub fn image(&self, place: Place, round: usize) -> Option<Image> {
+        self.number(place).map(|number| self.images[number][round])
+    }
+
+    /// The cells in which a line of sight meets others in this round than in the one before.
+    pub fn unlike_before(&self, round: usize) -> CellsBySquare {
+        let [before, now] = [round - 1, round].map(|round| &self.reflecting[round].cells);
+        if now == before { CellsBySquare::default() } else { near(now.unlike(before).rows()) }
+    }
+
     /// Takes note of how the one at this place may be an image in a round, which is not the last.
     pub fn set_image(&mut self, place: Place, round: usize, image: Image) {
         if let Some(number) = self.number(place) {

@@ -1083,6 +1083,61 @@ mod tests {
         assert_eq!(verdict(&mut grid, [1.01, 4.21]), Verdict::Image, "it is seen from the mirror now");
     }
 
+    /// Asserts that what is known of images is what looking anew tells, in each round; gives of how many.
+    fn look_anew(grid: &mut Visagge) -> usize {
+        grid.decide();
+        let tiles = grid.tiles.iter().filter_map(|(place, tile)| Some((place, tile.evidence.as_ref()?)));
+        let cells = tiles.flat_map(|(place, evidence)| {
+            evidence.cells.iter().zip(&evidence.judgements).map(move |cell| (place, evidence, cell))
+        });
+        let first = if grid.settings.has(Idea::ImagesReflectNothing) { 0 } else { ROUNDS - 1 };
+        let mut count = 0;
+        for (tile, evidence, (cell, judgement)) in cells {
+            if !judgement.unthinned.is_shown() && judgement.unthinned != Verdict::Image {
+                continue;
+            }
+            let mirrors = evidence.mirrors.as_ref();
+            for round in first..ROUNDS {
+                let place = place_of(cell.returns.place);
+                let known = match round + 1 {
+                    ROUNDS => Some(judgement.image),
+                    _ => mirrors.and_then(|mirrors| mirrors.image(place, round)),
+                };
+                let Some(known) = known else { continue };
+                let mut lookups = Lookups::of(tile, Sources::default());
+                let anew = image(grid, tile, &cell, round, &mut Sights::default(), &mut lookups);
+                assert_eq!(known, anew, "{place:?} of {tile:?} in round {round}");
+                count += 1;
+            }
+        }
+        count
+    }
+
+    #[test]
+    fn what_is_known_of_images_is_what_looking_anew_tells() {
+        let [mirror, original, image] = mirror();
+        let moved = |row: &Row, x: f64| Row { x: [row.x[0] + x, row.x[1] + x], ..row.clone() };
+        let box_ = Row { x: [1.4, 1.6], y: 4.01, bearings: [-24.0, -23.0], range: 3.8, is_missed: false };
+        for without in [&[][..], &[Idea::ImagesReflectNothing], &[Idea::Opacity]] {
+            let mut grid = drawn_without(without, &[mirror.clone(), image.clone()]);
+            assert!(look_anew(&mut grid) >= 2 * 88, "a cell of either row at least once");
+            // In other tiles, bit by bit: what images are of, what they are seen in, and what hides them.
+            let rows = [
+                original.clone(),
+                box_.clone(),
+                moved(&mirror, 4.4),
+                moved(&image, 4.4),
+                Row { bearings: [-130.0, -50.0], ..mirror.clone() },
+                Row { x: [0.0, 2.0], y: 1.51, bearings: [-100.0, -80.0], range: 1.0, is_missed: false },
+                Row { bearings: [89.0, 91.0], ..original.clone() },
+            ];
+            for row in rows {
+                draw(&mut grid, &row);
+                look_anew(&mut grid);
+            }
+        }
+    }
+
     #[test]
     fn glass_reflects_a_little_ahead_and_nearly_all_at_grazing_incidence() {
         let percent = |degrees: f64| (100.0 * glass_reflects(degrees.to_radians())).round();
