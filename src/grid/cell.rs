@@ -209,7 +209,7 @@ impl Cell {
     /// Numbers that are others as soon as anything is that the cell is judged by, all of it but when it was observed: the first tells of
     /// where it is seen from, as far as that tells of images, and whether it has glinted, which is all that its lines of sight depend on,
     /// the second of the rest.
-    pub fn fingerprints(&self) -> [u64; 2] {
+    pub fn fingerprints(&self) -> [[u32; 2]; 2] {
         let Cell { returns, visible, visible_too, missed_width, missed_since } = self;
         let pair = |[a, b]: [u32; 2]| u64::from(a) << 32 | u64::from(b);
         let floats = |floats: [f32; 2]| pair(floats.map(f32::to_bits));
@@ -241,11 +241,12 @@ impl Cell {
     }
 }
 
-/// A number for these words.
-fn print(words: &[u64]) -> u64 {
+/// A number for these words, in two halves.
+fn print(words: &[u64]) -> [u32; 2] {
     // Each step turns different numbers into different ones; 2^64 over the golden ratio spreads them.
-    words.iter().fold(0, |print: u64, word| {
+    let print = words.iter().fold(0, |print: u64, word| {
         let mixed = (print ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         mixed ^ mixed >> 32
-    })
+    });
+    [(print >> 32) as u32, print as u32]
 }

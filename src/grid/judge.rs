@@ -30,7 +30,7 @@ use std::{cell::OnceCell, sync::Weak};
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Judgement {
     /// Of the cell when it was judged.
-    fingerprints: [u64; 2],
+    fingerprints: [[u32; 2]; 2],
     /// The cells that `shape` depends on.
     reach: Reach,
     /// How it may be an image, in the last round.
@@ -52,7 +52,7 @@ pub(super) struct Judgement {
 }
 
 /// Of every cell: what it takes counts.
-const _: () = assert!(size_of::<Judgement>() == 40);
+const _: () = assert!(size_of::<Judgement>() == 36);
 
 /// What a round of images has told of a cell.
 struct Found {

@@ -23,9 +23,9 @@ pub struct Mirror {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plane {
     /// Cosine and sine of its normal's direction.
-    normal: [f64; 2],
+    normal: [f32; 2],
     /// From the map's origin to it, along the normal (m).
-    offset: f64,
+    offset: f32,
     /// Direction of the normal (rad, modulo pi).
     direction: f32,
 }
@@ -46,12 +46,12 @@ impl Plane {
         let direction = rounded(exact, DIRECTION);
         let normal = of(direction);
         let offset = along(normal, at) + rounded(passes, PASSES);
-        Plane { normal, offset, direction: direction as f32 }
+        Plane { normal: normal.map(|at| at as f32), offset: offset as f32, direction: direction as f32 }
     }
 
     /// Direction of its normal, of length 1.
     pub fn normal(&self) -> [f64; 2] {
-        self.normal
+        self.normal.map(f64::from)
     }
 
     /// Angle between the normal and a view (rad, 0..pi/2).
@@ -61,9 +61,9 @@ impl Plane {
 
     /// The mirror images of points (m).
     pub fn reflect<const N: usize>(&self, points: [[f64; 2]; N]) -> [[f64; 2]; N] {
-        let [cos, sin] = self.normal;
+        let ([cos, sin], offset) = (self.normal(), f64::from(self.offset));
         points.map(|[x, y]| {
-            let beyond = x * cos + y * sin - self.offset;
+            let beyond = x * cos + y * sin - offset;
             [x - 2.0 * beyond * cos, y - 2.0 * beyond * sin]
         })
     }
