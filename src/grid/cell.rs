@@ -170,7 +170,7 @@ pub struct Cell {
     pub visible: Visible,
     /// The widest such range apart from `visible`; empty where `way` is negative.
     pub visible_too: Visible,
-    /// Width of the widest range of misses that it survived (units of [`Angle`](super::angle::Angle)).
+    /// Width of the widest range of misses that it survived (units of [`Angle`]).
     pub missed_width: u16,
     /// The widest since it was last observed.
     pub missed_since: AngleRange,

@@ -6,9 +6,9 @@
 //!
 //! - Shape: the cell and its neighbours, as far as its [`Reach`] goes.
 //! - Gaps: what is shown by its shape in the tile and those around.
-//! - Images: the cell's own view angles, the mirrors and walls in the tiles that its lines of sight cross, and what is shown and free in
-//!   those where its original would stand ([`Sources`]); of cells whose lines of sight met nothing, only where on these others have come to
-//!   be mirrors and walls. Then, which surfaces are opaque. All of this in [`ROUNDS`].
+//! - Images: the cell's own view angles, the cells on its lines of sight that are mirrors and walls, and what is shown, seen and free in
+//!   the squares where its original was sought ([`Extent`]); of cells whose lines of sight met nothing, only what has come onto these. Then,
+//!   which surfaces are opaque. All of this in [`ROUNDS`]: where the same reflects in one as in the one before, nothing is looked at again.
 //! - Thickness: all of this in the tile and those around.
 //!
 //! That a cell has changed is told by its [fingerprints](super::cell::Cell::fingerprints).
