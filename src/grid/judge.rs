@@ -86,10 +86,10 @@ struct Change {
     shaped: bool,
     /// Of a round of images, the cells in which lines of sight meet other mirrors.
     mirrors: [CellsBySquare; ROUNDS],
-    /// Where other cells are mirrors, or these are seen from elsewhere.
-    seen: Squares,
     /// Those of them in which no mirror was met before.
     newly_met: [CellsBySquare; ROUNDS],
+    /// Where other cells are mirrors, or these are seen from elsewhere.
+    seen: Squares,
     /// Where other cells are shown, gaps bridged.
     shown: Squares,
     /// The cells that have become walls, or are none any more.
@@ -290,14 +290,14 @@ impl Visagge {
                 let cell = evidence.cells.get(at);
                 let passes =
                     |spots: &[Spot]| !spots.is_empty() && reflection::passes(self, place, &cell, spots);
-                let may_differ = || match sights.are_clear() {
-                    true => passes(&newly_met),
-                    false => {
-                        originals.iter().any(|(tile, squares)| sought.touches(place, *tile, *squares))
-                            || passes(&others)
-                    }
+                let are_originals_others =
+                    || originals.iter().any(|(tile, squares)| sought.touches(place, *tile, *squares));
+                let may_differ = if sights.are_clear() {
+                    is_due || passes(&newly_met)
+                } else {
+                    is_due || are_originals_others() || passes(&others)
                 };
-                if !is_due && !may_differ() {
+                if !may_differ {
                     return None;
                 }
                 if was_sought && !is_first && !passes(&met_others) {

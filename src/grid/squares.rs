@@ -367,6 +367,59 @@ mod tests {
     }
 
     #[test]
+    fn cells_are_put_together_square_by_square() {
+        let cells = |rows: &[(usize, u64)]| {
+            let mut all = [0; SIDE as usize];
+            rows.iter().for_each(|(row, cells)| all[*row] = *cells);
+            all
+        };
+        let (a, b) = (cells(&[(0, 1), (9, 6)]), cells(&[(9, 2), (63, 1 << 63)]));
+        let [of_a, of_b] = [a, b].map(CellsBySquare::from);
+        assert_eq!([of_a.rows(), of_b.rows()], [a, b]);
+        assert_eq!(of_a.but(&of_b), cells(&[(0, 1), (9, 4)]).into());
+        assert_eq!(of_a.unlike(&of_b), cells(&[(0, 1), (9, 4), (63, 1 << 63)]).into());
+        assert_eq!(of_a.or(&of_b), cells(&[(0, 1), (9, 6), (63, 1 << 63)]).into());
+        assert!(of_a.unlike(&of_a).is_empty());
+        assert_eq!(of_b.in_squares(), Squares::of(b));
+    }
+
+    #[test]
+    fn squares_that_hold_more_cells_than_before_are_told() {
+        let mut rows = [0; SIDE as usize];
+        let mut counts = Counts::default();
+        assert!(counts.update(&rows).is_empty());
+        (rows[0], rows[15]) = (u64::MAX, 1 << 8);
+        assert_eq!(counts.update(&rows), Squares(0xff | 1 << 9));
+        assert!(counts.update(&rows).is_empty());
+        rows[8..16].fill(u64::MAX);
+        assert_eq!(counts.update(&rows), Squares(0xff << 8), "all 64 of them");
+    }
+
+    #[test]
+    fn an_extent_is_touched_by_what_may_be_in_it() {
+        let [here, left, far] = [(5, -3), (4, -3), (5000, -3)].map(|(x, y)| TileIndex { x, y });
+        let square = |column: u8, row: u8| {
+            let mut squares = Squares::default();
+            squares.insert([column, row]);
+            squares
+        };
+        let mut extent = Extent::default();
+        assert!(!extent.touches(here, here, Squares(u64::MAX)), "of nothing");
+        extent.extend(here, left, [[60, 16], [63, 23]]);
+        assert!(extent.touches(here, left, square(56, 16)) && !extent.touches(here, left, square(55, 16)));
+        assert!(!extent.touches(here, left, square(63, 24)) && !extent.touches(here, here, square(0, 16)));
+        let both = extent.and({
+            let mut other = Extent::default();
+            other.extend(here, here, [[8, 0], [8, 0]]);
+            other
+        });
+        assert!(both.touches(here, here, square(15, 23)) && !both.touches(here, here, square(16, 23)));
+        assert!(!both.touches(here, far, Squares(u64::MAX)));
+        extent.extend(here, far, [[0, 16], [0, 16]]);
+        assert!(extent.touches(here, far, square(63, 16)), "as far as can be told");
+    }
+
+    #[test]
     fn cells_of_nine_tiles_are_found() {
         let middle = TileIndex { x: 4, y: -1 };
         let (mut corner, mut own) = ([0; SIDE as usize], [0; SIDE as usize]);
