@@ -416,7 +416,7 @@ mod tests {
             SavedMap::decode(&damaged).unwrap_err().to_string()
         };
         assert!(with(3, 1).contains("no map that visagged saved"));
-        assert!(with(8, 1).contains("saved in format 5"));
+        assert!(with(8, 1).contains("saved in format 4"));
         assert!(with(HEADER + 9, 4).contains("damaged or cut short"));
         assert!(SavedMap::decode(&bytes[..17]).unwrap_err().to_string().contains("17 bytes"));
         assert!(SavedMap::decode(&bytes[..bytes.len() - 1]).unwrap_err().to_string().contains("cut short"));

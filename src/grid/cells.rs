@@ -82,10 +82,10 @@ impl Cells {
     }
 }
 
-/// Makes room by an eighth: twice as much would be half empty.
+/// Makes room by a sixteenth: twice as much would be half empty.
 pub fn push<T>(to: &mut Vec<T>, value: T) {
     if to.len() == to.capacity() {
-        to.reserve_exact((to.len() / 8).max(1));
+        to.reserve_exact((to.len() / 16).max(1));
     }
     to.push(value);
 }

@@ -190,10 +190,10 @@ impl Evidence {
         (follows, if follows { scans.min(u32::from(u16::MAX)) as u16 } else { 1 })
     }
 
-    /// Takes these cells, which lie at different places; of the places of their tracks only the marks count.
+    /// Takes these cells, which lie at different places; the places of their tracks do not count.
     pub(super) fn fill(&mut self, cells: impl Iterator<Item = (Returns, Track)>) {
         for (returns, track) in cells {
-            self.add(returns, Track { place: place_of(returns.place) | track.place, ..track });
+            self.add(returns, Track { place: place_of(returns.place), ..track });
         }
     }
 
@@ -614,15 +614,21 @@ mod tests {
         scan::Scan,
     };
     use proptest::prelude::*;
+    use std::collections::HashSet;
 
     impl Visagge {
-        /// What the fast paths must do, cell by cell: no tile is left out, and cells are gone through one by one.
+        /// What the fast paths must do, cell by cell: all tiles are gone through, and in those that are left out nothing may be learned.
         fn insert_plainly(&mut self, sweep: &Sweep) {
             self.begin(sweep);
             let rule = self.rule(sweep);
             self.record_hits(sweep, &rule);
-            self.view.prepare::<Portable>(0);
             let side = (f64::from(SIDE - 1) * self.resolution) as f32;
+            self.was_hit.resize(self.tiles.len(), false);
+            let Visagge { tiles, turns, was_hit, view, tolerance, near, .. } = self;
+            near.find(tiles, was_hit, *turns, view, tolerance, side);
+            let looked_at: HashSet<usize> = near.tiles().collect();
+            looked_at.iter().for_each(|&number| was_hit[number] = false);
+            self.view.prepare::<Portable>(0);
             for number in 0..self.tiles.len() {
                 let place = self.tiles.place(number);
                 let corner = self.view.corner(place, self.resolution);
@@ -631,7 +637,12 @@ mod tests {
                     continue;
                 }
                 let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
-                let (follows, scans) = evidence.look(self.scan, self.turns.number(place));
+                let is_looked_at = looked_at.contains(&number);
+                let (follows, scans) = if is_looked_at {
+                    evidence.look(self.scan, self.turns.number(place))
+                } else {
+                    (false, 0)
+                };
                 for number in 0..evidence.cells.len() {
                     let mut track = evidence.cells.track(number);
                     let returns = &mut evidence.cells.returns[number];
@@ -647,6 +658,10 @@ mod tests {
                     } else {
                         self.view.observe(&sight, || track.would_return(sight.range))
                     };
+                    if !is_looked_at {
+                        assert_eq!(observation, Observation::Hidden, "{:?} of {place:?}", returns.place);
+                        continue;
+                    }
                     returns.record(track.record(observation, &look, scans, &rule), scans, &rule);
                     evidence.cells.blocks[number / LANES].set(number % LANES, track);
                 }
