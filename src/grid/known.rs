@@ -47,10 +47,9 @@ impl Visagge {
             hits: cell.returns.hits,
             is_opaque: u32::from(cell.missed_width) <= units(SEEN_THROUGH),
         });
-        let middle = |at: i32| (f64::from(at) + 0.5) * resolution;
         KnownPlaces {
             surfaces: surfaces.collect(),
-            free: self.crossed().map(|index| [middle(index.x), middle(index.y)]).collect(),
+            free: self.crossed().map(|index| index.middle(resolution)).collect(),
             doubtful: cells(false).map(|(index, cell)| cell.returns_at(index, resolution)).collect(),
         }
     }
@@ -61,9 +60,8 @@ impl Standard {
     /// that any can be seen through: taken is that the sensor sees them now.
     pub fn known(&self, sensor: [f64; 2], reach: f64) -> KnownPlaces {
         let mut places = KnownPlaces::default();
-        let middle = |at: i32| (f64::from(at) + 0.5) * self.resolution();
         for (index, is_occupied, _) in self.cells() {
-            let at = [middle(index.x), middle(index.y)];
+            let at = index.middle(self.resolution());
             let way = [sensor[0] - at[0], sensor[1] - at[1]];
             if way[0] * way[0] + way[1] * way[1] > reach * reach {
                 continue;

@@ -16,7 +16,7 @@ use super::{
     cell::Cell,
     idea::Idea,
     mirrors::Mirror,
-    squares::{CellsBySquare, Extent, cells_of},
+    squares::{CellsBySquare, Extent, cells_of, rectangle},
     tiles::{CellIndex, PlaceHasher, SIDE, TileIndex, floor_near, whole},
     visagge::{Evidence, Tile, Visagge, place_of},
 };
@@ -322,9 +322,7 @@ pub(super) fn image(
     sights: &mut Sights,
     lookups: &mut Lookups,
 ) -> Image {
-    let index = cell.index(place);
-    let at = |index: i32| (f64::from(index) + 0.5) * grid.resolution;
-    let point = [at(index.x), at(index.y)];
+    let point = cell.index(place).middle(grid.resolution);
     let too = cell.telling_too().filter(|_| grid.settings.has(Idea::SecondRange));
     let has_glinted = cell.returns.has_glinted();
     let mut image = Image::Yes;
@@ -472,8 +470,7 @@ impl Way {
 
 /// Whether a line of sight to the cell may depend on one of these.
 pub(super) fn passes(grid: &Visagge, place: TileIndex, cell: &Cell, spots: &[Spot]) -> bool {
-    let index = cell.index(place);
-    let point = [index.x, index.y].map(|index| (f64::from(index) + 0.5) * grid.resolution);
+    let point = cell.index(place).middle(grid.resolution);
     [Some(&cell.visible), cell.telling_too()].into_iter().flatten().any(|visible| {
         let [from, to] = visible.ends();
         // All of these are in the triangle of the cell and both ends.
@@ -735,10 +732,9 @@ impl Course {
         let [columns, rows] = [0, 1].map(|axis| {
             // A little more than that, for what lies on a border.
             let ends = [from[axis].min(to[axis]) - 1e-5, from[axis].max(to[axis]) + 1e-5];
-            ends.map(|at| whole(at / 8.0 - 0.5).clamp(0, 7))
+            ends.map(|at| whole(at / 8.0 - 0.5).clamp(0, 7) as u32)
         });
-        let of_columns = ((2 << columns[1]) - (1 << columns[0])) * 0x0101_0101_0101_0101;
-        of & of_columns & u64::MAX << (8 * rows[0]) & u64::MAX >> (8 * (7 - rows[1]))
+        of & rectangle(columns, rows)
     }
 
     /// Which of these squares it comes to first.

@@ -76,8 +76,12 @@ fn ones_by_byte(word: u64) -> u64 {
     (nibbles + (nibbles >> 4)) & NIBBLES
 }
 
-/// The first column of a square's cells.
-const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
+/// The bits from one column to another and from one row to another, both included, of eight times eight, row by row.
+pub fn rectangle([left, right]: [u32; 2], [bottom, top]: [u32; 2]) -> u64 {
+    let first_column = 0x0101_0101_0101_0101;
+    let columns: u64 = ((2 << right) - (1 << left)) * first_column;
+    columns & u64::MAX << (8 * bottom) & u64::MAX >> (8 * (7 - top))
+}
 
 /// Some cells of a tile, square by square, for lines that go from one square to the next.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -328,12 +332,10 @@ impl Extent {
             let low = if self.low[axis] == i8::MIN { i32::MIN } else { self.low[axis].into() };
             let high = if self.high[axis] == i8::MAX { i32::MAX } else { self.high[axis].into() };
             let [low, high] = [low, high].map(|at| at.saturating_sub(first[axis]));
-            (low <= high && low < IN_TILE && high >= 0).then(|| [low.max(0), high.min(IN_TILE - 1)])
+            (low <= high && low < IN_TILE && high >= 0)
+                .then(|| [low.max(0), high.min(IN_TILE - 1)].map(|at| at as u32))
         });
-        let (Some([left, right]), Some([bottom, top])) = (columns, rows) else { return false };
-        let columns = (2u64 << right) - (1 << left);
-        let all = columns * FIRST_COLUMN;
-        squares & all & (u64::MAX << (8 * bottom)) & (u64::MAX >> (8 * (IN_TILE - 1 - top))) != 0
+        columns.zip(rows).is_some_and(|(columns, rows)| squares & rectangle(columns, rows) != 0)
     }
 
     /// Column and row of a tile's first square, seen from another.

@@ -25,6 +25,11 @@ impl CellIndex {
         CellIndex { x: floor(x / resolution), y: floor(y / resolution) }
     }
 
+    /// Its middle (m) in such a grid.
+    pub fn middle(self, resolution: f64) -> [f64; 2] {
+        [self.x, self.y].map(|index| (f64::from(index) + 0.5) * resolution)
+    }
+
     /// Place of the tile that holds the cell, and the cell's column and row in it.
     pub fn split(self) -> (TileIndex, usize, usize) {
         let tile = TileIndex { x: self.x >> 6, y: self.y >> 6 };

@@ -222,8 +222,8 @@ impl Visagge {
         let mirror = line
             .filter(|line| verdict.is_shown() && is_seen_through && !is_single && line.is_flat())
             .map(|line| {
-                let at = [index.x, index.y].map(|index| (f64::from(index) + 0.5) * self.resolution);
-                Mirror { plane: Plane::new(&line, at), visible: cell.visible.range }
+                let plane = Plane::new(&line, index.middle(self.resolution));
+                Mirror { plane, visible: cell.visible.range }
             });
         Shape { verdict, mirror, reach }
     }

@@ -561,8 +561,8 @@ impl Visagge {
         let within = |place: TileIndex, returns: &Returns| {
             let [column, row] = returns.place.map(usize::from);
             let index = place.cell(column, row);
-            let at = |index: i32| (f64::from(index) + 0.5) * resolution;
-            (at(index.x) - x).powi(2) + (at(index.y) - y).powi(2) <= radius * radius
+            let [at_x, at_y] = index.middle(resolution);
+            (at_x - x).powi(2) + (at_y - y).powi(2) <= radius * radius
         };
         let (low, first_column, first_row) = low.split();
         let (high, last_column, last_row) = high.split();
