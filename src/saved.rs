@@ -17,7 +17,7 @@ use crate::mapper::{MapperKind, MapperSettings};
 /// First bytes of the file.
 const MAGIC: [u8; 8] = *b"VISAGGE\n";
 /// Version of the format; grows whenever [`SavedMap`] changes.
-pub const VERSION: u32 = 5;
+pub const VERSION: u32 = 6;
 /// Length of all before the zstd frame: magic 8, version 4, length of the content 8, CRC-32 of all other bytes 4.
 pub const HEADER: usize = 24;
 /// No content is longer (bytes): a grid of a square kilometre with evidence in every tenth cell.
@@ -334,7 +334,7 @@ mod tests {
             hits: 300,
             was_crossed: true,
             was_passed: true,
-            was_told: true,
+            brightness: -300,
             hit_scan: 70_000,
             visible,
             visible_too: Some(visible),
@@ -416,7 +416,7 @@ mod tests {
             SavedMap::decode(&damaged).unwrap_err().to_string()
         };
         assert!(with(3, 1).contains("no map that visagged saved"));
-        assert!(with(8, 1).contains("saved in format 4"));
+        assert!(with(8, 1).contains("saved in format 7"));
         assert!(with(HEADER + 9, 4).contains("damaged or cut short"));
         assert!(SavedMap::decode(&bytes[..17]).unwrap_err().to_string().contains("17 bytes"));
         assert!(SavedMap::decode(&bytes[..bytes.len() - 1]).unwrap_err().to_string().contains("cut short"));

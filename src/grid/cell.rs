@@ -80,8 +80,8 @@ pub struct Returns {
     pub was_crossed: bool,
     /// Whether beams had gone past it shortly before, be it without return ([`super::earlier`]).
     pub was_passed: bool,
-    /// Whether returns landed in it when glints could be told.
-    pub was_told: bool,
+    /// Mean [brightness](super::glints::Glints::brightness) of its returns ([`BRIGHTNESS`]); [`UNKNOWN`] as long as none could be told.
+    pub brightness: i16,
     /// The last scan that hit it, so that a scan counts once however many beams did.
     pub hit_scan: u32,
     /// Mean place of the returns in the cell (cells, 0..1 each).
@@ -89,6 +89,11 @@ pub struct Returns {
     /// When the first and the last return landed in it (s since the first scan).
     pub(super) hit_time: [f32; 2],
 }
+
+/// Units of brightness in an octave.
+pub const BRIGHTNESS: f32 = 256.0;
+/// No brightness that a return has.
+pub const UNKNOWN: i16 = i16::MIN;
 
 /// One over each number: a quotient takes long.
 static WEIGHTS: [f32; 256] = {
@@ -111,7 +116,7 @@ impl Returns {
             hits: 0,
             was_crossed,
             was_passed: false,
-            was_told: false,
+            brightness: UNKNOWN,
             hit_scan: 0,
             centroid: [0.5; 2],
             hit_time: [0.0; 2],
@@ -144,6 +149,20 @@ impl Returns {
         for (mean, at) in self.centroid.iter_mut().zip(at) {
             *mean += (at - *mean) * weight;
         }
+    }
+
+    /// The return is so bright (octaves).
+    #[inline(always)]
+    pub fn record_brightness(&mut self, octaves: f32) {
+        let now = (octaves * BRIGHTNESS).clamp(-f32::from(i16::MAX), f32::from(i16::MAX));
+        let mean = if self.is_brightness_known() { f32::from(self.brightness) } else { now };
+        // Of the last returns; a mean of more would not move in whole numbers.
+        self.brightness = (mean + (now - mean) * WEIGHTS[usize::from(self.hits.clamp(1, 64))]) as i16;
+    }
+
+    /// Whether returns landed in it when their brightness, and so glints, could be told.
+    pub fn is_brightness_known(&self) -> bool {
+        self.brightness != UNKNOWN
     }
 
     /// Takes over what a scan has brought about; where the occupancy is 0 then, the cell must be removed (core step 5).
@@ -206,9 +225,20 @@ impl Cell {
         Some(&self.visible_too).filter(|too| too.way >= 0.0 && too.range.width_rad() >= TELLING)
     }
 
+    /// Mean brightness of its returns in half octaves, rounded down.
+    fn half_octaves(&self) -> i16 {
+        self.returns.brightness.div_euclid(BRIGHTNESS as i16 / 2)
+    }
+
+    /// Mean [brightness](super::glints::Glints::brightness) of its returns, where it could be told, rounded down to half an octave: all
+    /// that matters of it.
+    pub fn brightness(&self) -> Option<f64> {
+        self.returns.is_brightness_known().then(|| f64::from(self.half_octaves()) / 2.0)
+    }
+
     /// Numbers that are others as soon as anything is that the cell is judged by, all of it but when it was observed: the first tells of
-    /// where it is seen from, as far as that tells of images, and whether it has glinted, which is all that its lines of sight depend on,
-    /// the second of the rest.
+    /// where it is seen from, as far as that tells of images, how bright it is, and whether it has glinted, which is all that how it may be an
+    /// image depends on, the second of the rest.
     pub fn fingerprints(&self) -> [[u32; 2]; 2] {
         let Cell { returns, visible, visible_too, missed_width, missed_since } = self;
         let pair = |[a, b]: [u32; 2]| u64::from(a) << 32 | u64::from(b);
@@ -220,7 +250,9 @@ impl Cell {
         let [telling_ends, telling] = self.telling_too().map(too).unwrap_or_default();
         let [ends_too, range_too] = too(visible_too);
         let seen_from = [
-            u64::from(returns.has_glinted()) << 32 | u64::from(range(&visible.range)),
+            u64::from(self.half_octaves() as u16) << 48
+                | u64::from(returns.glints.min(2)) << 32
+                | u64::from(range(&visible.range)),
             floats(visible.ranges),
             telling_ends,
             telling,

@@ -1,5 +1,5 @@
-//! Which returns are glints: brighter than anything diffuse at their distance, so that they come from glass, mirrors or polished
-//! metal that a beam has met about its normal (paper III-B, Fig. 9).
+//! How bright returns are, and which of them are glints: brighter than anything diffuse at their distance, so that they come from glass,
+//! mirrors or polished metal that a beam has met about its normal (paper III-B, Fig. 9).
 //!
 //! Scanners tell intensities in units of their own, and no threshold holds for all. But the brightness of diffuse surfaces falls with
 //! the square of the distance, and an intensity is some power of the brightness (a UTM-30LX's about the fifth root). Which
@@ -34,7 +34,7 @@ pub struct Glints {
     /// Returns of walls, and sums over their logarithms: distance, intensity, the first squared, and both multiplied.
     count: f32,
     sums: [f32; 4],
-    /// The power of the distance that an intensity falls with.
+    /// The power of the distance that an intensity falls with, twice that of the brightness that it is.
     fall: f32,
     /// How many of these returns, were they from 1 m, are of each level of intensity.
     levels: Vec<f32>,
@@ -55,6 +55,13 @@ impl Glints {
     pub fn are(&self, range: f32, intensity: f32) -> bool {
         let threshold = self.threshold.unwrap_or(f32::INFINITY);
         log2(intensity.max(0.0)) + self.fall * log2(range) >= threshold
+    }
+
+    /// Brightness of a return, `range` m away, beside that of the brightest diffuse surfaces there; as a logarithm to base 2.
+    #[inline(always)]
+    pub fn brightness(&self, range: f32, intensity: f32) -> Option<f32> {
+        let of_glint = log2(intensity.max(0.0)) + self.fall * log2(range) - self.threshold?;
+        Some(2.0 * of_glint / self.fall + FACTOR.log2())
     }
 
     /// The beams that brought one; `ranges` in m.
@@ -175,9 +182,24 @@ mod tests {
     }
 
     #[test]
+    fn brightness_is_beside_that_of_the_brightest_walls_from_any_distance_on_any_scanner() {
+        for (power, unit) in [(0.19, 3900.0), (1.0, 1.0), (0.5, 255.0)] {
+            let glints = learned(power, unit);
+            for range in [0.3, 1.0, 3.0, 12.0f32] {
+                for share in [2.0, 1.0, 0.1, 0.01] {
+                    let brightness = intensity(power, unit, 0.9 * share / (range * range));
+                    let told = glints.brightness(range, brightness).expect("it was learned");
+                    assert!((told - share.log2()).abs() < 0.5, "{power}, {range} m, {share}: {told}");
+                }
+            }
+            assert!(glints.brightness(1.0, 0.0).is_some_and(|told| told < -100.0));
+        }
+    }
+
+    #[test]
     fn nothing_glints_where_nothing_can_be_learned() {
         let mut few = Glints::default();
-        assert!(!few.are(1.0, f32::MAX));
+        assert!(!few.are(1.0, f32::MAX) && few.brightness(1.0, 1.0).is_none());
         (0..100).for_each(|number| few.learn(1.0 + number as f32, 1.0));
         few.conclude();
         assert!(!few.are_known());

@@ -34,6 +34,8 @@ pub enum Idea {
     ImagesReflectNothing,
     /// Glass reflects only as much as physics allows; without, all that is explained is an image.
     Fresnel,
+    /// An image in glass is no brighter than glass reflects; needs intensities.
+    Bright,
     /// Where nearly all that is seen through a surface is explained, it is opaque, and reflects all.
     Opacity,
     /// A wall that runs straight at a surface does not tell whether that is opaque: its image would lie on itself.
@@ -42,6 +44,8 @@ pub enum Idea {
     SecondRange,
     /// What is seen from some directions only is no original of an image that it would be seen in from others.
     Originals,
+    /// What is seen through a surface, or in it, in some scans only is not shown.
+    Glimpses,
     /// Whatever is seen behind a wall that has always stood there is an image.
     Walls,
     /// What has returned glints, brighter than anything diffuse, is a surface seen about its normal; needs intensities.
@@ -54,7 +58,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 22] = [
+    pub const ALL: [Idea; 24] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Visitors,
@@ -69,10 +73,12 @@ impl Idea {
         Idea::Unmissed,
         Idea::ImagesReflectNothing,
         Idea::Fresnel,
+        Idea::Bright,
         Idea::Opacity,
         Idea::Symmetry,
         Idea::SecondRange,
         Idea::Originals,
+        Idea::Glimpses,
         Idea::Walls,
         Idea::Glints,
         Idea::Dull,

@@ -16,7 +16,9 @@
 use super::{
     idea::Idea,
     mirrors::{Mirror, Mirrors, near},
-    reflection::{self, AllOpacity, BESIDE_WALLS, Image, Lookups, Opacity, ROUNDED, ROUNDS, Sights, Spot},
+    reflection::{
+        self, AllOpacity, BESIDE_WALLS, GLIMPSES, Image, Lookups, Opacity, ROUNDED, ROUNDS, Sights, Spot,
+    },
     squares::{CellsAround, CellsBySquare, Extent, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
@@ -339,7 +341,7 @@ impl Visagge {
                 if round + 1 < ROUNDS {
                     evidence.take_mirrors(round + 1, change);
                 } else {
-                    change.unthinned |= evidence.take_unthinned();
+                    change.unthinned |= evidence.take_unthinned(self.settings.has(Idea::Glimpses));
                 }
             }
         }
@@ -505,13 +507,25 @@ impl Evidence {
         }
     }
 
-    /// Takes note of which cells are images in the end. Gives whether others were.
-    fn take_unthinned(&mut self) -> bool {
+    /// Takes note of which cells are images in the end, and, if glimpses are not shown, of which are those. Gives whether others were.
+    fn take_unthinned(&mut self, but_for_glimpses: bool) -> bool {
         let opaque = &self.rounds[ROUNDS - 1].opaque;
         let mut are_others = false;
-        for judgement in &mut self.judgements {
-            let is_image = judgement.image.is_image(opaque);
-            let verdict = if is_image { Verdict::Image } else { judgement.bridged };
+        for (returns, judgement) in self.cells.returns.iter().zip(&mut self.judgements) {
+            let Judgement { image, bridged, .. } = *judgement;
+            let is_glimpse = || {
+                bridged == Verdict::Solid
+                    && returns.hits < GLIMPSES
+                    && image.is_behind_surface()
+                    && but_for_glimpses
+            };
+            let verdict = if image.is_image(opaque) {
+                Verdict::Image
+            } else if is_glimpse() {
+                Verdict::TooFew
+            } else {
+                bridged
+            };
             are_others |= verdict != judgement.unthinned;
             judgement.unthinned = verdict;
         }

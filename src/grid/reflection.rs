@@ -50,6 +50,12 @@ const OFF_VIEW: f64 = 0.1;
 /// Share that a surface must reflect for a glint to be one in it still, on the way there and on the way back: a quarter is left. Glass does at
 /// 78 degrees of incidence.
 const OF_GLINTS: f64 = 0.5;
+/// An image in glass may be brighter than glass makes of the brightest walls by this factor: walls may be grey, where what is reflected is
+/// white, and brightness has a noise of 13 %.
+const WHITER: f64 = 4.0;
+/// What is seen through a surface, or in it, is solid only if it was seen in so many scans. Of somebody who walks by in a mirror each cell is
+/// seen in some, for 0.3 s at most, and nothing comes to free it: beams to what is farther meet the mirror elsewhere.
+pub(super) const GLIMPSES: u16 = 10;
 /// A wall hides what is behind it if it does so this far to both sides of the line of sight as well, step by step (m): past its ends and
 /// through its gaps errors of poses decide.
 const ASIDE: [f64; 5] = [0.0, 0.05, -0.05, 0.1, -0.1];
@@ -82,7 +88,8 @@ pub(super) enum Image {
     No,
     /// Seen through a surface, and where its original would stand beams have passed.
     Unexplained(Block),
-    /// Seen through a surface, and no beam has come to where its original would stand, or it runs straight at the surface.
+    /// Seen through a surface, and no beam has come to where its original would stand, or it runs straight at the surface, or is too bright for
+    /// what would be glass.
     Unknown(Block),
     /// Explained, but glass would not reflect that much: only an opaque surface there.
     IfOpaque(Block),
@@ -112,6 +119,11 @@ impl Image {
             }
             Image::Yes => true,
         }
+    }
+
+    /// Whether a surface is on the lines of sight.
+    pub(super) fn is_behind_surface(self) -> bool {
+        self != Image::No
     }
 }
 
@@ -326,6 +338,7 @@ pub(super) fn image(
     let too = cell.telling_too().filter(|_| grid.settings.has(Idea::SecondRange));
     let has_glinted = cell.returns.has_glinted();
     let mut image = Image::Yes;
+    let mut glass = None;
     for (range, visible) in [Some(&cell.visible), too].into_iter().flatten().enumerate() {
         let mut unexplained = 0;
         let [from, to] = visible.ends();
@@ -333,7 +346,7 @@ pub(super) fn image(
             let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
             let from = [point[0] + x, point[1] + y];
             let sight = Sight { from, to: point, range: (x * x + y * y).sqrt(), round, has_glinted };
-            match explained(grid, &sight, lookups) {
+            match explained(grid, &sight, lookups, &mut glass) {
                 Image::Yes => (),
                 _ if sights
                     .is_behind(range, observer, || is_behind_wall(grid, &sight, &mut lookups.crossed)) => {}
@@ -348,7 +361,23 @@ pub(super) fn image(
             }
         }
     }
-    image
+    match (image, glass, cell.brightness()) {
+        (Image::Yes, Some(glass), Some(brightness))
+            if cell.returns.glints == 0
+                && brightness > (glass.reflects.powi(2) * WHITER).log2()
+                && grid.settings.has(Idea::Bright) =>
+        {
+            Image::Unknown(glass.block)
+        }
+        _ => image,
+    }
+}
+
+/// A surface that explains an image if it is glass.
+struct Glass {
+    block: Block,
+    /// Share of the light that it reflects, at most.
+    reflects: f64,
 }
 
 /// What is known of the lines of sight to a cell from its first range of view angles, until that or the walls on them change.
@@ -513,8 +542,14 @@ struct Sight {
     has_glinted: bool,
 }
 
-/// Whether a surface on the line of sight shows at its end what is elsewhere.
-fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Image {
+/// Whether a surface on the line of sight shows at its end what is elsewhere. Where it would as glass, `glass` becomes that surface, if it
+/// reflects more.
+fn explained<'a>(
+    grid: &'a Visagge,
+    sight: &Sight,
+    lookups: &mut Lookups,
+    glass: &mut Option<Glass>,
+) -> Image {
     let mut image = Image::No;
     let Sight { from: sensor, to: point, range, .. } = *sight;
     let Lookups { crossed, sought } = lookups;
@@ -542,10 +577,15 @@ fn explained<'a>(grid: &'a Visagge, sight: &Sight, lookups: &mut Lookups) -> Ima
         let explains = is_within(BODY + tolerance, sensor)
             || grid.has_original(mirrored, || *seen_from, tolerance, sought);
         let needed = (range / SEES).max(if sight.has_glinted { OF_GLINTS } else { 0.0 });
-        let incidence = || mirror.plane.off_normal(view[1].atan2(view[0]));
-        let by_glass = || needed <= glass_reflects(incidence()) || !grid.settings.has(Idea::Fresnel);
+        let reflects = LazyCell::new(|| glass_reflects(mirror.plane.off_normal(view[1].atan2(view[0]))));
+        let by_glass = || needed <= *reflects || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
-            (true, _) if by_glass() => Image::Yes,
+            (true, _) if by_glass() => {
+                if glass.as_ref().is_none_or(|glass| glass.reflects < *reflects) {
+                    *glass = Some(Glass { block, reflects: *reflects });
+                }
+                Image::Yes
+            }
             (true, _) if grid.runs_along(point, mirror.plane.normal(), sought) => Image::Unknown(block),
             (true, _) => Image::IfOpaque(block),
             (false, Image::No) if grid.is_crossed(mirrored, sought) => Image::Unexplained(block),
@@ -902,7 +942,7 @@ mod tests {
             let (place, column, row) =
                 CellIndex::of(x[0] + (f64::from(number) + 0.5) * CELL, *y, CELL).split();
             let mut returns = Returns::new([column as u8, row as u8], *is_missed);
-            (returns.occupancy, returns.hits) = (9, 9);
+            (returns.occupancy, returns.hits) = (20, 20);
             let from = |degrees: f64| Angle::from_rad(degrees.to_radians());
             let width = units((bearings[1] - bearings[0]).to_radians()) as u16;
             let range = AngleRange { start: from(bearings[0]), width };
@@ -1022,31 +1062,72 @@ mod tests {
         assert_eq!(seen_from([-91.0, -89.0]), Verdict::Surface);
     }
 
-    #[test]
-    fn what_glints_behind_glass_is_no_image_in_it() {
-        // As near as glass reflects what is ahead.
+    /// What a pane shows, what that is an image of, and the image: as near as glass reflects what is ahead.
+    fn pane() -> [Row; 3] {
         let at = |y: f64, row: &Row| Row { y, range: y as f32, ..row.clone() };
         let [mirror, original, image] = mirror();
-        let found = |rows: &[Row], glints: u8| {
-            let mut grid = drawn(rows);
-            grid.decide();
-            let (place, column, row) = CellIndex::of(1.01, 2.31, CELL).split();
-            let evidence =
-                grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref()).expect("it was drawn");
-            let number = evidence.slots.get(place_of([column as u8, row as u8])).expect("it was drawn");
-            let mut cell = evidence.cells.get(number);
-            cell.returns.glints = glints;
-            let (mut sights, mut lookups) =
-                (Sights::default(), Lookups::of(TileIndex { x: 0, y: 0 }, Sources::default()));
-            super::image(&grid, place, &cell, ROUNDS - 1, &mut sights, &mut lookups)
-        };
-        let rows = [at(1.61, &mirror), at(0.91, &original), at(2.31, &image)];
-        assert_eq!(found(&rows, 0), Image::Yes);
-        assert_eq!(found(&rows, 1), Image::Yes, "a random reading");
-        assert!(matches!(found(&rows, 2), Image::IfOpaque(_)), "a mirror shows glints too");
+        [at(1.61, &mirror), at(0.91, &original), at(2.31, &image)]
+    }
+
+    /// How a cell of the image in the [`pane`] may be one, had it such returns.
+    fn found(rows: &[Row], returns: impl Fn(&mut Returns)) -> Image {
+        let mut grid = drawn(rows);
+        grid.decide();
+        let (place, column, row) = CellIndex::of(1.01, 2.31, CELL).split();
+        let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref()).expect("it was drawn");
+        let number = evidence.slots.get(place_of([column as u8, row as u8])).expect("it was drawn");
+        let mut cell = evidence.cells.get(number);
+        returns(&mut cell.returns);
+        let (mut sights, mut lookups) =
+            (Sights::default(), Lookups::of(TileIndex { x: 0, y: 0 }, Sources::default()));
+        image(&grid, place, &cell, ROUNDS - 1, &mut sights, &mut lookups)
+    }
+
+    #[test]
+    fn what_glints_behind_glass_is_no_image_in_it() {
+        let rows = pane();
+        let glinting = |rows: &[Row], glints: u8| found(rows, |returns| returns.glints = glints);
+        assert_eq!(glinting(&rows, 0), Image::Yes);
+        assert_eq!(glinting(&rows, 1), Image::Yes, "a random reading");
+        assert!(matches!(glinting(&rows, 2), Image::IfOpaque(_)), "a mirror shows glints too");
         let without_original = [rows[0].clone(), rows[2].clone()];
-        assert!(matches!(found(&without_original, 0), Image::Unknown(_)));
-        assert_eq!(found(&without_original, 2), Image::No);
+        assert!(matches!(glinting(&without_original, 0), Image::Unknown(_)));
+        assert_eq!(glinting(&without_original, 2), Image::No);
+    }
+
+    #[test]
+    fn what_is_brighter_behind_glass_than_glass_reflects_is_no_image_in_it() {
+        // 8 % there and 8 % back of what may be 4 times as bright as any wall: 5.3 octaves below one.
+        let so_bright = |octaves: f32, glints: u8| {
+            found(&pane(), |returns| {
+                returns.record_brightness(octaves);
+                returns.glints = glints;
+            })
+        };
+        assert_eq!(so_bright(-6.0, 0), Image::Yes);
+        assert!(matches!(so_bright(-4.5, 0), Image::Unknown(_)), "of a dark wall, but not in glass");
+        assert_eq!(so_bright(-4.5, 1), Image::Yes, "of something that glints");
+    }
+
+    #[test]
+    fn what_was_seen_in_some_scans_only_through_a_surface_is_not_shown() {
+        let [mirror, _, behind] = mirror();
+        let judged = |mirrors: &[&Row], hits: u16| {
+            let mut grid = drawn(&[]);
+            mirrors.iter().for_each(|mirror| draw(&mut grid, mirror));
+            let behind = Row { is_missed: false, ..behind.clone() };
+            draw(&mut grid, &behind);
+            for number in 0..grid.tiles.len() {
+                if let Some(evidence) = &mut grid.tiles.at_mut(number).evidence {
+                    let cells = evidence.cells.returns.iter_mut();
+                    cells.filter(|returns| returns.place[1] == 60).for_each(|returns| returns.hits = hits);
+                }
+            }
+            verdict(&mut grid, [1.01, 3.01])
+        };
+        assert_eq!(judged(&[&mirror], 9), Verdict::TooFew);
+        assert_eq!(judged(&[&mirror], 10), Verdict::Solid);
+        assert_eq!(judged(&[], 9), Verdict::Solid, "through nothing");
     }
 
     #[test]

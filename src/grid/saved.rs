@@ -70,7 +70,7 @@ pub struct SavedCell {
     pub hits: u16,
     pub was_crossed: bool,
     pub was_passed: bool,
-    pub was_told: bool,
+    pub brightness: i16,
     pub hit_scan: u32,
     pub visible: SavedSector,
     pub visible_too: Option<SavedSector>,
@@ -131,7 +131,7 @@ impl SavedCell {
             hits: cell.hits,
             was_crossed: cell.was_crossed,
             was_passed: cell.was_passed,
-            was_told: cell.was_told,
+            brightness: cell.brightness,
             hit_scan: cell.hit_scan,
             visible: SavedSector::of(&track.visible, track.way),
             visible_too: too.exists().then(|| SavedSector::of(&too, track.way_too)),
@@ -145,7 +145,7 @@ impl SavedCell {
     fn cell(&self) -> (Returns, Track) {
         let mut cell = Returns::new(self.place, self.was_crossed);
         cell.was_passed = self.was_passed;
-        cell.was_told = self.was_told;
+        cell.brightness = self.brightness;
         cell.occupancy = self.occupancy;
         cell.passes = self.passes;
         cell.glints = self.glints;

@@ -2,7 +2,7 @@
 
 use super::{
     angle::AngleRange,
-    cell::Cell,
+    cell::{Cell, UNKNOWN},
     judge::Judgement,
     standard::Standard,
     tiles::{CellIndex, SIDE, TileIndex},
@@ -40,7 +40,7 @@ struct ShownCell {
 
 /// The layers of map.npz.
 const BYTES: [&str; 5] = ["occupancy_count", "passes", "glints", "verdict", "image"];
-const WORDS: [&str; 8] = [
+const WORDS: [&str; 9] = [
     "hits",
     "visible_start",
     "visible_width",
@@ -49,6 +49,7 @@ const WORDS: [&str; 8] = [
     "missed_width",
     "missed_since_start",
     "missed_since_width",
+    "brightness",
 ];
 
 impl From<Map> for Snapshot {
@@ -156,6 +157,8 @@ impl ShownCell {
                 *missed_width,
                 since_start,
                 since_width,
+                // As any number of 16 bits it would have a sign; 0 is no brightness.
+                returns.brightness.wrapping_sub(UNKNOWN) as u16,
             ],
         }
     }

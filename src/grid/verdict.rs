@@ -256,7 +256,7 @@ fn explains(line: &Line, cell: &Cell, settings: &VisaggeSettings) -> bool {
     let beyond = off - cell.visible.range.width_rad() / 2.0;
     let is_long = line.length >= LONG && line.rms <= STRAIGHT && settings.has(Idea::LongSurfaces);
     let [most, most_beyond] = if is_long { OFF_LONG } else { OFF_SHORT };
-    let may_be_somebody = cell.returns.was_told && !line.glints && cell.lasted() < STAYING;
+    let may_be_somebody = cell.returns.is_brightness_known() && !line.glints && cell.lasted() < STAYING;
     let is_dull = may_be_somebody && settings.has(Idea::Dull);
     line.length >= if is_dull { LEAST_DULL } else { LEAST_LENGTH }
         && line.is_flat()
@@ -310,6 +310,7 @@ mod tests {
     use super::*;
     use crate::grid::{
         angle::{Angle, AngleRange},
+        cell::UNKNOWN,
         tiles::TileIndex,
         track::{Sector, Track},
         visagge::VisaggeSettings,
@@ -345,7 +346,8 @@ mod tests {
     fn what_could_have_glinted_and_has_not_is_broader_than_anybody() {
         let judged = |length: f32, was_told: bool, glints: bool, lasted: f32| {
             let line = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length, share: 1.0, glints };
-            let returns = Returns { was_told, hit_time: [5.0, 5.0 + lasted], ..Returns::new([0, 0], true) };
+            let brightness = if was_told { 0 } else { UNKNOWN };
+            let returns = Returns { brightness, hit_time: [5.0, 5.0 + lasted], ..Returns::new([0, 0], true) };
             explains(&line, &Cell::of(&returns, &Track::default()), &VisaggeSettings::default())
         };
         let is_surface = |length, was_told, glints| judged(length, was_told, glints, 3.0);

@@ -456,7 +456,6 @@ impl Visagge {
         let mut glinting = glinting.iter().map(|&beam| beam as usize).peekable();
         // Some of the beams of each scan, one after the other.
         let learns = |beam: usize| has_intensities && (beam + self.scan as usize).is_multiple_of(LEARN_EVERY);
-        let can_tell = has_intensities && glints.are_known();
         let base = rays.base();
         let mut recent = (TileIndex { x: i32::MAX, y: i32::MAX }, 0);
         let mut beam = 0;
@@ -492,8 +491,11 @@ impl Visagge {
                 glints.learn(distances[first], intensities[first]);
             }
             let returns = evidence.cells.hit(number);
-            returns.was_told |= can_tell;
             returns.record_hit(mean, is_glint, self.scan, self.time, rule);
+            if has_intensities && let Some(octaves) = glints.brightness(distances[first], intensities[first])
+            {
+                returns.record_brightness(octaves);
+            }
         }
     }
 
