@@ -25,6 +25,8 @@ pub struct Rule {
     pub drift_most: f32,
     /// Scans in a row without a return that tell that nothing is there to return.
     pub silent_scans: u16,
+    /// Whether what glints may be outshone, from farther away than it was seen from, by what is behind it or reflected in it.
+    pub outshone: bool,
     /// Whether a second range, apart from the first, is kept.
     pub two_ranges: bool,
 }
@@ -90,6 +92,9 @@ pub struct Returns {
     pub(super) hit_time: [f32; 2],
 }
 
+/// What has glinted at least once in so many scans that it was seen in may be glass or metal. Random readings come once in a thousand beams
+/// (paper III-B), of which a scan has some in a cell.
+pub const HITS_A_GLINT: u16 = 64;
 /// Units of brightness in an octave.
 pub const BRIGHTNESS: f32 = 256.0;
 /// No brightness that a return has.
@@ -128,9 +133,19 @@ impl Returns {
         tile.cell(usize::from(self.place[0]), usize::from(self.place[1]))
     }
 
+    /// Whether it is glass, a mirror or metal, by its glints: they are no random readings.
+    fn is_specular(&self) -> bool {
+        self.has_glinted() && self.glints_once_in(HITS_A_GLINT)
+    }
+
     /// Whether it has glinted: more than once, since now and then a random reading is bright.
     pub fn has_glinted(&self) -> bool {
         self.glints >= 2
+    }
+
+    /// Whether at least one in so many scans that it was seen in has brought a glint, as far as these are counted.
+    pub fn glints_once_in(&self, scans: u16) -> bool {
+        u16::from(self.glints) >= (self.hits / scans).clamp(1, u8::MAX.into())
     }
 
     /// Core step 1: a return, which may be a glint, at this place in the cell (cells, 0..1).
@@ -171,7 +186,8 @@ impl Returns {
         match event {
             Event::None => (),
             Event::Pass => self.passes = self.passes.saturating_add(1),
-            Event::Contradiction => {
+            Event::Contradiction { may_be_outshone: true } if rule.outshone && self.is_specular() => (),
+            Event::Contradiction { .. } => {
                 let taken = u16::from(rule.contradiction).saturating_mul(scans);
                 self.occupancy = self.occupancy.saturating_sub(taken.min(u16::from(u8::MAX)) as u8);
             }

@@ -1,4 +1,4 @@
-//! What our verdict adds to the paper's, idea by idea, so that the worth of each can be measured.
+//! What our mapper adds to the paper's, idea by idea, so that the worth of each can be measured.
 
 use serde::{Deserialize, Serialize};
 
@@ -50,6 +50,8 @@ pub enum Idea {
     Walls,
     /// What has returned glints, brighter than anything diffuse, is a surface seen about its normal; needs intensities.
     Glints,
+    /// What glints is not contradicted from farther away than it was seen from, but where it would glint.
+    Outshone,
     /// What has not glinted though it could is a surface only where it is broader than anybody, or has stayed for longer than people do.
     Dull,
     /// Surfaces are drawn one cell thick.
@@ -58,7 +60,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 24] = [
+    pub const ALL: [Idea; 25] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Visitors,
@@ -81,6 +83,7 @@ impl Idea {
         Idea::Glimpses,
         Idea::Walls,
         Idea::Glints,
+        Idea::Outshone,
         Idea::Dull,
         Idea::Thin,
     ];

@@ -85,7 +85,11 @@ pub enum Event {
     /// It was seen again from angles known before, after having been missed in between.
     Pass,
     /// It was missed from where it must have been seen.
-    Contradiction,
+    Contradiction {
+        /// But from farther away than it was seen from, and not over the middle of its view angles: what is behind glass outshines it there,
+        /// the more the farther the sensor is from both, but where it glints.
+        may_be_outshone: bool,
+    },
 }
 
 /// One cell's part of a [`Block`].
@@ -197,13 +201,19 @@ impl Track {
             return Event::None;
         }
         let missed = self.sector.range;
-        let contradicts = |visible: &Sector, way: f32| {
-            visible.exists()
-                && missed.meets(visible.range, rule.half_beam)
-                && missed.depth(visible.range, rule.half_beam) > rule.explained(look.way - way, look.range)
+        let is_deep_in = |range: AngleRange, way: f32| {
+            missed.meets(range, rule.half_beam)
+                && missed.depth(range, rule.half_beam) > rule.explained(look.way - way, look.range)
         };
-        if contradicts(&self.visible, self.way) || contradicts(&self.visible_too, self.way_too) {
-            return Event::Contradiction;
+        let of = [(&self.visible, self.way), (&self.visible_too, self.way_too)];
+        let contradicted = of.map(|(visible, way)| visible.exists() && is_deep_in(visible.range, way));
+        if contradicted != [false; 2] {
+            let is_surely = |(contradicted, (visible, way)): (bool, (&Sector, f32))| {
+                let at_middle = || is_deep_in(AngleRange::at(visible.range.middle()), way);
+                contradicted && (would_return(visible.ends, look.range) || at_middle())
+            };
+            let may_be_outshone = !contradicted.into_iter().zip(of).any(is_surely);
+            return Event::Contradiction { may_be_outshone };
         }
         let width = missed.width.max(1);
         self.missed_width = self.missed_width.max(width);
@@ -337,6 +347,7 @@ mod tests {
         drift_rate: 0.03,
         drift_most: 0.06,
         silent_scans: 20,
+        outshone: true,
         two_ranges: true,
     };
 
@@ -364,7 +375,7 @@ mod tests {
             self.cell.occupancy += u8::from(seen);
             let event = self.track.record(observation, &look, 1, &RULE);
             self.cell.record(event, 1, &RULE);
-            event == Event::Contradiction
+            matches!(event, Event::Contradiction { .. })
         }
 
         /// Looks from `from` to `to` degrees in steps of one, 5 cm of way each.
@@ -386,10 +397,36 @@ mod tests {
     fn a_contradiction_takes_as_much_as_the_scans_that_it_stands_for_may_have_added() {
         let left = |scans: u16| {
             let mut cell = Returns { occupancy: 30, ..Returns::new([0, 0], false) };
-            cell.record(Event::Contradiction, scans, &RULE);
+            cell.record(Event::Contradiction { may_be_outshone: false }, scans, &RULE);
             cell.occupancy
         };
         assert_eq!([1, 4, 6, u16::MAX].map(left), [25, 10, 0, 0]);
+    }
+
+    #[test]
+    fn what_glints_is_not_contradicted_from_afar_but_where_it_would_glint() {
+        let left = |glints: u8, seen_from: f32, missed: std::ops::Range<i32>, missed_from: f32| {
+            let look = |degrees: f64, range: f32| Look {
+                angle: Angle::from_rad(degrees.to_radians()),
+                range: distance_units(range),
+                way: 0.0,
+            };
+            let mut cell = Returns { occupancy: 30, glints, hits: 60, ..Returns::new([0, 0], false) };
+            let mut track = Track::new(0, &look(-5.0, seen_from));
+            for degrees in -4..=5 {
+                track.record(Observation::Seen, &look(degrees.into(), seen_from), 1, &RULE);
+            }
+            for degrees in missed {
+                let event = track.record(Observation::Missed, &look(degrees.into(), missed_from), 1, &RULE);
+                cell.record(event, 1, &RULE);
+            }
+            cell.occupancy
+        };
+        assert_eq!(left(9, 2.0, 2..6, 6.0), 30, "a wall behind the pane outshines its dust");
+        assert!(left(9, 2.0, 2..6, 2.1) < 30, "not from as near as before");
+        assert!(left(9, 2.0, -3..6, 6.0) < 30, "nor its glint");
+        assert!(left(0, 2.0, 2..6, 6.0) < 30, "somebody has gone");
+        assert!(left(1, 2.0, 2..6, 6.0) < 30, "a random reading");
     }
 
     #[test]

@@ -13,7 +13,7 @@
 
 use super::{
     angle::units,
-    cell::{Cell, Returns},
+    cell::{Cell, HITS_A_GLINT, Returns},
     idea::Idea,
     judge::Shape,
     mirrors::{Mirror, Plane},
@@ -87,9 +87,6 @@ const STRAIGHT: f32 = 0.02;
 /// Something is seen through a surface, or in it, that was missed over at least this range (rad): 1 degree. Less is a
 /// wall at grazing incidence.
 pub(super) const SEEN_THROUGH: f64 = 0.02;
-/// Or that has glinted at least once in so many scans that it was seen in. Random readings come once in a thousand beams (paper III-B), of
-/// which a scan has some in a cell.
-const HITS_A_GLINT: u16 = 64;
 /// What is shown on both sides of a gap must begin within this many cells: a quarter of a metre, less than half a
 /// door or a person's width.
 const GAP: i32 = 5;
@@ -244,10 +241,10 @@ pub(super) fn is_solid(cell: &Cell, settings: &VisaggeSettings) -> bool {
 /// before it was first seen may be a door that was shut since, but also dust or metal, which was met farther off its normal first, from
 /// where nothing came back that would tell of a miss.
 fn is_seen_through(cell: &Cell, alone: Verdict, settings: &VisaggeSettings) -> bool {
-    let Returns { glints, hits, was_crossed, .. } = cell.returns;
-    let glints_often = u16::from(glints) >= (hits / HITS_A_GLINT).clamp(1, u8::MAX.into());
+    let glints = cell.returns.glints_once_in(HITS_A_GLINT);
     let was_missed = u32::from(cell.missed_width) >= units(SEEN_THROUGH);
-    was_missed || (glints_often || was_crossed && alone == Verdict::Solid) && settings.has(Idea::Unmissed)
+    was_missed
+        || (glints || cell.returns.was_crossed && alone == Verdict::Solid) && settings.has(Idea::Unmissed)
 }
 
 /// Whether a surface along this line would be seen from where the cell was seen, and hardly from elsewhere.

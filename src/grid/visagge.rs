@@ -108,6 +108,7 @@ impl VisaggeSettings {
             drift_most: (3.0 * SQRT_2 * self.position_sigma) as f32,
             // A surface at grazing incidence still returns three times in ten.
             silent_scans: 20,
+            outshone: self.has(Idea::Outshone),
             two_ranges: self.two_ranges,
         }
     }
@@ -394,7 +395,7 @@ impl Visagge {
     fn rule(&self, sweep: &Sweep) -> Rule {
         let rule = self.settings.rule(sweep.bearing_step().abs());
         if self.as_in_the_paper {
-            return Rule { drift_least: rule.drift_most, silent_scans: 1, ..rule };
+            return Rule { drift_least: rule.drift_most, silent_scans: 1, outshone: false, ..rule };
         }
         rule
     }
