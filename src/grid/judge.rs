@@ -514,7 +514,7 @@ impl Evidence {
         for (returns, judgement) in self.cells.returns.iter().zip(&mut self.judgements) {
             let Judgement { image, bridged, .. } = *judgement;
             let is_glimpse = || {
-                bridged == Verdict::Solid
+                matches!(bridged, Verdict::Solid | Verdict::Bridged)
                     && returns.hits < GLIMPSES
                     && image.is_behind_surface()
                     && but_for_glimpses
