@@ -334,6 +334,7 @@ mod tests {
             hits: 300,
             was_crossed: true,
             was_passed: true,
+            was_driven: true,
             brightness: -300,
             hit_scan: 70_000,
             visible,
@@ -343,7 +344,12 @@ mod tests {
             centroid: [0.25, 0.75],
             hit_time: [0.5, 100.0],
         };
-        let tile = |x: i32, cells| SavedTile { place: [x, -4], free: vec![u64::MAX << 7; 64], cells };
+        let tile = |x: i32, cells| SavedTile {
+            place: [x, -4],
+            free: vec![u64::MAX << 7; 64],
+            driven: vec![3; 64],
+            cells,
+        };
         SavedMap::new(
             SavedGrid {
                 resolution: 0.05,

@@ -82,6 +82,8 @@ pub struct Returns {
     pub was_crossed: bool,
     /// Whether beams had gone past it shortly before, be it without return ([`super::earlier`]).
     pub was_passed: bool,
+    /// Whether the robot itself had been there before the first return came.
+    pub was_driven: bool,
     /// Mean [brightness](super::glints::Glints::brightness) of its returns ([`BRIGHTNESS`]); [`UNKNOWN`] as long as none could be told.
     pub brightness: i16,
     /// The last scan that hit it, so that a scan counts once however many beams did.
@@ -121,6 +123,7 @@ impl Returns {
             hits: 0,
             was_crossed,
             was_passed: false,
+            was_driven: false,
             brightness: UNKNOWN,
             hit_scan: 0,
             centroid: [0.5; 2],

@@ -10,6 +10,8 @@ pub enum Idea {
     Newcomers,
     /// What beams went past shortly before, be it without return, is a newcomer too.
     Silences,
+    /// Where the robot has been, what has come since is somebody, unless it glints or has stayed for longer than people do.
+    Driven,
     /// What has come as a whole and is no larger than a person is solid only if it has stayed for longer than people do.
     Visitors,
     /// What was solid and was missed to the end has been taken away.
@@ -60,9 +62,10 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 25] = [
+    pub const ALL: [Idea; 26] = [
         Idea::Newcomers,
         Idea::Silences,
+        Idea::Driven,
         Idea::Visitors,
         Idea::TakenAway,
         Idea::Surfaces,

@@ -22,7 +22,7 @@ use super::{
     squares::{CellsAround, CellsBySquare, Extent, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
-    verdict::{Verdict, is_in_gap},
+    verdict::{Verdict, is_in_gap, is_in_the_way},
     view::Place,
     visagge::{Evidence, Tile, Visagge, place_of},
 };
@@ -195,12 +195,13 @@ impl Visagge {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
             let shown = self.around(place, |evidence| &evidence.shaped);
-            let cells = evidence.cells.returns.iter().zip(&evidence.judgements);
+            let cells = evidence.cells.returns.iter().zip(&evidence.judgements).enumerate();
             let bridged: Vec<Verdict> = cells
-                .map(|(returns, judgement)| {
+                .map(|(at, (returns, judgement))| {
                     let is_bridged = !judgement.shape.is_shown()
                         && self.settings.has(Idea::Gaps)
-                        && is_in_gap(returns.place, &shown);
+                        && is_in_gap(returns.place, &shown)
+                        && !is_in_the_way(&evidence.cells.get(at), &self.settings);
                     if is_bridged { Verdict::Bridged } else { judgement.shape }
                 })
                 .collect();

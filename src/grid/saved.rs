@@ -55,6 +55,8 @@ pub struct SavedTile {
     pub place: [i32; 2],
     /// A bit for each cell that was crossed, a word a row; 64 of them.
     pub free: Vec<u64>,
+    /// The same for each cell that the robot itself was in; none where it was in none of them.
+    pub driven: Vec<u64>,
     /// The cells with evidence, in their order; `None` where no return ever landed.
     pub cells: Option<Vec<SavedCell>>,
 }
@@ -70,6 +72,7 @@ pub struct SavedCell {
     pub hits: u16,
     pub was_crossed: bool,
     pub was_passed: bool,
+    pub was_driven: bool,
     pub brightness: i16,
     pub hit_scan: u32,
     pub visible: SavedSector,
@@ -131,6 +134,7 @@ impl SavedCell {
             hits: cell.hits,
             was_crossed: cell.was_crossed,
             was_passed: cell.was_passed,
+            was_driven: cell.was_driven,
             brightness: cell.brightness,
             hit_scan: cell.hit_scan,
             visible: SavedSector::of(&track.visible, track.way),
@@ -145,6 +149,7 @@ impl SavedCell {
     fn cell(&self) -> (Returns, Track) {
         let mut cell = Returns::new(self.place, self.was_crossed);
         cell.was_passed = self.was_passed;
+        cell.was_driven = self.was_driven;
         cell.brightness = self.brightness;
         cell.occupancy = self.occupancy;
         cell.passes = self.passes;
@@ -205,6 +210,9 @@ impl SavedGrid {
             if tile.free.len() != SIDE as usize {
                 return bad(number, "its rows are not 64");
             }
+            if ![0, SIDE as usize].contains(&tile.driven.len()) {
+                return bad(number, "its rows are neither 64 nor none");
+            }
             let mut taken = [0u64; SIDE as usize];
             for cell in tile.cells.iter().flatten() {
                 if !cell.is_sound() {
@@ -227,6 +235,7 @@ impl Visagge {
         let tiles = self.tiles.iter().map(|(place, tile)| SavedTile {
             place: [place.x, place.y],
             free: tile.free.to_vec(),
+            driven: tile.driven.iter().flat_map(|driven| driven.iter().copied()).collect(),
             cells: tile.evidence.as_ref().map(|evidence| evidence.cells.kept().map(SavedCell::of).collect()),
         });
         SavedGrid {
@@ -263,6 +272,7 @@ impl Visagge {
             let number = grid.tiles.find_or_make(TileIndex { x, y });
             let tile = grid.tiles.at_mut(number);
             tile.free.copy_from_slice(&saved.free);
+            tile.driven = <[u64; SIDE as usize]>::try_from(&saved.driven[..]).ok().map(Box::new);
             if let Some(cells) = &saved.cells {
                 tile.evidence.insert(Default::default()).fill(cells.iter().map(SavedCell::cell));
             }
@@ -359,7 +369,7 @@ mod tests {
         let saved = grid.save();
         let tile = saved.tiles.iter().position(|tile| tile.cells.is_some()).unwrap();
         type Damage = fn(&mut SavedGrid, usize);
-        let damages: [Damage; 11] = [
+        let damages: [Damage; 12] = [
             |saved, _| saved.scan = u32::MAX,
             |saved, _| saved.elapsed_ns = -1,
             |saved, tile| saved.tiles[tile].cells.as_mut().unwrap()[0].occupancy = 255,
@@ -368,6 +378,7 @@ mod tests {
             |saved, tile| saved.tiles[tile].place = [i32::MAX, i32::MIN],
             |saved, tile| saved.tiles.push(saved.tiles[tile].clone()),
             |saved, tile| saved.tiles[tile].free.truncate(63),
+            |saved, tile| saved.tiles[tile].driven.resize(65, 0),
             |saved, tile| saved.tiles[tile].cells.as_mut().unwrap()[0].place[1] = 64,
             |saved, tile| saved.tiles[tile].cells.as_mut().unwrap()[0].centroid[0] = f32::NAN,
             |saved, tile| {

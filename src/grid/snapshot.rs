@@ -263,7 +263,9 @@ impl Visagge {
         self.tiles
             .iter()
             .map(|(_, tile)| {
-                size_of_val(tile) + tile.evidence.as_ref().map_or(0, |evidence| evidence.bytes())
+                size_of_val(tile)
+                    + tile.driven.as_deref().map_or(0, size_of_val)
+                    + tile.evidence.as_ref().map_or(0, |evidence| evidence.bytes())
             })
             .sum()
     }

@@ -270,6 +270,15 @@ fn glints(cell: &Cell, settings: &VisaggeSettings) -> bool {
         && cell.visible.range.width_rad() <= 2.0 * OFF_LONG[0]
 }
 
+/// Whether the cell is where the robot itself has been, so that somebody must have come, or something that is known by its glints or by how
+/// long it has stayed: a door that was shut.
+pub(super) fn is_in_the_way(cell: &Cell, settings: &VisaggeSettings) -> bool {
+    cell.returns.was_driven
+        && !cell.returns.has_glinted()
+        && cell.lasted() < STAYING
+        && settings.has(Idea::Driven)
+}
+
 /// Whether the cell was missed to the end, and not for being looked at along the surface through it.
 fn is_gone(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> bool {
     let is_grazing = line.is_some_and(|line| line.off_normal(cell.missed_since.middle().rad()) > GRAZING);
@@ -290,6 +299,9 @@ fn shape(cell: &Cell, line: Option<&Line>, has_come: bool, settings: &VisaggeSet
         let is_broad = |line: &Line| line.length >= LEAST_DULL && explains(line, cell, settings);
         let is_glint = cell.returns.glints > 0 && line.is_some_and(is_broad);
         return if is_glint { Verdict::Surface } else { Verdict::TooFew };
+    }
+    if is_in_the_way(cell, settings) {
+        return Verdict::NoSurface;
     }
     let is_large = || line.is_some_and(|line| line.is_flat() && line.length >= LARGE);
     if is_solid(cell, settings) && !is_gone(cell, line, settings) && (!has_come || is_large()) {
@@ -384,6 +396,27 @@ mod tests {
         assert!(is_solid(false, 0.2));
         assert!(!is_solid(true, 0.2));
         assert!(is_solid(true, 1.2));
+    }
+
+    #[test]
+    fn where_the_robot_has_been_somebody_has_come_unless_it_is_a_door() {
+        let line = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 2.0, share: 1.0, glints: true };
+        let judged = |was_driven: bool, glints: u8, lasted: f32| {
+            let hit_time = [5.0, 5.0 + lasted];
+            let returns = Returns {
+                was_driven,
+                glints,
+                hit_time,
+                occupancy: 9,
+                hits: 90,
+                ..Returns::new([0, 0], true)
+            };
+            shape(&Cell::of(&returns, &Track::default()), Some(&line), false, &VisaggeSettings::default())
+        };
+        assert!(judged(false, 0, 3.0).is_shown());
+        assert_eq!(judged(true, 0, 3.0), Verdict::NoSurface);
+        assert!(judged(true, 2, 3.0).is_shown(), "a door of glass, shut since");
+        assert!(judged(true, 0, 40.0).is_shown(), "a door of wood");
     }
 
     #[test]

@@ -278,6 +278,8 @@ const LEARN_EVERY: usize = 32;
 pub(super) struct Tile {
     /// A bit for each cell that a beam has crossed, a word a row.
     pub(super) free: [u64; SIDE as usize],
+    /// The same for the robot, if it has been here.
+    pub(super) driven: Option<Box<[u64; SIDE as usize]>>,
     /// The cells in which returns have landed.
     pub(super) evidence: Option<Box<Evidence>>,
     /// How many bits of `free` were set in each square when last judged.
@@ -288,7 +290,13 @@ pub(super) struct Tile {
 
 impl Default for Tile {
     fn default() -> Self {
-        Tile { free: [0; SIDE as usize], evidence: None, judged_free: Counts::default(), shown: Weak::new() }
+        Tile {
+            free: [0; SIDE as usize],
+            driven: None,
+            evidence: None,
+            judged_free: Counts::default(),
+            shown: Weak::new(),
+        }
     }
 }
 
@@ -326,6 +334,8 @@ pub struct Visagge {
     /// Time from the first scan to the last (ns).
     pub(super) elapsed_ns: i64,
     pub(super) middle: Option<[f64; 2]>,
+    /// Where it was when cells that the robot was in were last marked (m).
+    marked_at: Option<[f64; 2]>,
 }
 
 impl Visagge {
@@ -356,6 +366,7 @@ impl Visagge {
             first_stamp_ns: None,
             elapsed_ns: 0,
             middle: None,
+            marked_at: None,
         }
     }
 
@@ -389,6 +400,7 @@ impl Visagge {
         if self.turns.are_of(TileIndex { x: 0, y: 0 }) {
             self.record_free();
         }
+        self.mark_driven();
         self.free_body();
     }
 
@@ -482,6 +494,8 @@ impl Visagge {
                     let middle = [(base.x, index.x), (base.y, index.y)].map(|(tile, cell)| {
                         (f64::from(tile) * f64::from(SIDE) + f64::from(cell) + 0.5) * self.resolution
                     });
+                    let driven = tile.driven.as_ref();
+                    returns.was_driven = driven.is_some_and(|driven| driven[row] >> column & 1 == 1);
                     returns.was_passed = !was_crossed && earlier.went_past(middle, self.time, tolerance);
                     evidence.add(returns, Track::new(at, &look))
                 }
@@ -551,6 +565,28 @@ impl Visagge {
                 *free |= inside;
             }
         });
+    }
+
+    /// Takes note of where the robot itself is, each time it has gone on by half a cell.
+    fn mark_driven(&mut self) {
+        let (radius, [x, y]) = (self.settings.body_radius, self.view.middle());
+        let has_moved = |from: [f64; 2]| (from[0] - x).hypot(from[1] - y) > self.resolution / 2.0;
+        if !self.marked_at.is_none_or(has_moved) {
+            return;
+        }
+        self.marked_at = Some([x, y]);
+        let low = CellIndex::of(x - radius, y - radius, self.resolution);
+        let high = CellIndex::of(x + radius, y + radius, self.resolution);
+        for index in (low.y..=high.y).flat_map(|y| (low.x..=high.x).map(move |x| CellIndex { x, y })) {
+            let [at_x, at_y] = index.middle(self.resolution);
+            if (at_x - x).powi(2) + (at_y - y).powi(2) <= radius * radius {
+                let (place, column, row) = index.split();
+                let number = self.tiles.find_or_make(place);
+                let driven =
+                    self.tiles.at_mut(number).driven.get_or_insert_with(|| Box::new([0; SIDE as usize]));
+                driven[row] |= 1 << column;
+            }
+        }
     }
 
     /// Where the robot itself is, nothing else can be.
@@ -673,8 +709,28 @@ mod tests {
             if self.turns.are_of(TileIndex { x: 0, y: 0 }) {
                 self.record_free();
             }
+            self.mark_driven();
             self.free_body();
         }
+    }
+
+    #[test]
+    fn cells_know_whether_the_robot_had_been_there() {
+        let mut grid = Visagge::new(0.05, VisaggeSettings::default());
+        let mut drive = |number: usize, ahead: f32, [x, yaw]: [f64; 2]| {
+            let scan = half_circle(number as u64, vec![ahead; 181]);
+            let at = pose(x, 0.0, yaw);
+            grid.insert(&Sweep { scan: &scan, start: at, end: at });
+        };
+        (0..60).for_each(|number| drive(number, 4.0, [0.05 * number as f64, 0.0]));
+        // Somebody stands around it, 1 m away, when it has turned back.
+        drive(60, 1.0, [2.95, std::f64::consts::PI]);
+        let near = |[x, y]: [f64; 2]| {
+            let found = grid.cells().find(|(index, ..)| *index == CellIndex::of(x, y, 0.05));
+            found.expect("it was hit").1.returns.was_driven
+        };
+        assert!(near([1.96, 0.02]) && near([1.96, 0.12]), "half a robot's width");
+        assert!(!near([2.03, 0.42]), "beside its way");
     }
 
     #[test]
