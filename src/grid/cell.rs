@@ -84,7 +84,7 @@ pub struct Returns {
     pub was_passed: bool,
     /// Whether the robot itself had been there before the first return came.
     pub was_driven: bool,
-    /// Mean [brightness](super::glints::Glints::brightness) of its returns ([`BRIGHTNESS`]); [`UNKNOWN`] as long as none could be told.
+    /// Mean [brightness](super::glints::Glints::brightness) of its first returns ([`BRIGHTNESS`]); [`UNKNOWN`] as long as none could be told.
     pub brightness: i16,
     /// The last scan that hit it, so that a scan counts once however many beams did.
     pub hit_scan: u32,
@@ -99,6 +99,8 @@ pub struct Returns {
 pub const HITS_A_GLINT: u16 = 64;
 /// Units of brightness in an octave.
 pub const BRIGHTNESS: f32 = 256.0;
+/// Scans whose returns tell how bright a cell is: single ones have a noise of 13 %.
+const ENOUGH_TO_TELL: u16 = 64;
 /// No brightness that a return has.
 pub const UNKNOWN: i16 = i16::MIN;
 
@@ -169,13 +171,19 @@ impl Returns {
         }
     }
 
+    /// Whether its brightness is to be recorded: of so many scans it is known well enough.
+    #[inline(always)]
+    pub fn needs_brightness(&self) -> bool {
+        self.hits <= ENOUGH_TO_TELL || !self.is_brightness_known()
+    }
+
     /// The return is so bright (octaves).
     #[inline(always)]
     pub fn record_brightness(&mut self, octaves: f32) {
         let now = (octaves * BRIGHTNESS).clamp(-f32::from(i16::MAX), f32::from(i16::MAX));
         let mean = if self.is_brightness_known() { f32::from(self.brightness) } else { now };
-        // Of the last returns; a mean of more would not move in whole numbers.
-        self.brightness = (mean + (now - mean) * WEIGHTS[usize::from(self.hits.clamp(1, 64))]) as i16;
+        let weight = WEIGHTS[usize::from(self.hits.clamp(1, ENOUGH_TO_TELL))];
+        self.brightness = (mean + (now - mean) * weight) as i16;
     }
 
     /// Whether returns landed in it when their brightness, and so glints, could be told.

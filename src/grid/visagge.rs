@@ -507,7 +507,9 @@ impl Visagge {
             }
             let returns = evidence.cells.hit(number);
             returns.record_hit(mean, is_glint, self.scan, self.time, rule);
-            if has_intensities && let Some(octaves) = glints.brightness(distances[first], intensities[first])
+            if has_intensities
+                && returns.needs_brightness()
+                && let Some(octaves) = glints.brightness(distances[first], intensities[first])
             {
                 returns.record_brightness(octaves);
             }
@@ -567,24 +569,32 @@ impl Visagge {
         });
     }
 
-    /// Takes note of where the robot itself is, each time it has gone on by half a cell.
+    /// Takes note of where the robot itself is, each time it has gone on by a cell.
     fn mark_driven(&mut self) {
-        let (radius, [x, y]) = (self.settings.body_radius, self.view.middle());
-        let has_moved = |from: [f64; 2]| (from[0] - x).hypot(from[1] - y) > self.resolution / 2.0;
-        if !self.marked_at.is_none_or(has_moved) {
+        let (radius, [x, y], resolution) = (self.settings.body_radius, self.view.middle(), self.resolution);
+        let way_squared = |[from_x, from_y]: [f64; 2]| (from_x - x).powi(2) + (from_y - y).powi(2);
+        if self.marked_at.is_some_and(|from| way_squared(from) < resolution * resolution) {
             return;
         }
         self.marked_at = Some([x, y]);
-        let low = CellIndex::of(x - radius, y - radius, self.resolution);
-        let high = CellIndex::of(x + radius, y + radius, self.resolution);
-        for index in (low.y..=high.y).flat_map(|y| (low.x..=high.x).map(move |x| CellIndex { x, y })) {
-            let [at_x, at_y] = index.middle(self.resolution);
-            if (at_x - x).powi(2) + (at_y - y).powi(2) <= radius * radius {
+        let low = CellIndex::of(x - radius, y - radius, resolution);
+        let high = CellIndex::of(x + radius, y + radius, resolution);
+        let mut recent = None;
+        for row in low.y..=high.y {
+            for column in low.x..=high.x {
+                let index = CellIndex { x: column, y: row };
+                let [at_x, at_y] = index.middle(resolution);
+                if (at_x - x).powi(2) + (at_y - y).powi(2) > radius * radius {
+                    continue;
+                }
                 let (place, column, row) = index.split();
-                let number = self.tiles.find_or_make(place);
-                let driven =
-                    self.tiles.at_mut(number).driven.get_or_insert_with(|| Box::new([0; SIDE as usize]));
-                driven[row] |= 1 << column;
+                let number = match recent {
+                    Some((of, number)) if of == place => number,
+                    _ => self.tiles.find_or_make(place),
+                };
+                recent = Some((place, number));
+                let rows = || Box::new([0; SIDE as usize]);
+                self.tiles.at_mut(number).driven.get_or_insert_with(rows)[row] |= 1 << column;
             }
         }
     }
