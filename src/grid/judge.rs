@@ -16,9 +16,7 @@
 use super::{
     idea::Idea,
     mirrors::{Mirror, Mirrors, near},
-    reflection::{
-        self, AllOpacity, BESIDE_WALLS, GLIMPSES, Image, Lookups, Opacity, ROUNDED, ROUNDS, Sights, Spot,
-    },
+    reflection::{self, AllOpacity, BESIDE_WALLS, Image, Lookups, Opacity, ROUNDED, ROUNDS, Sights, Spot},
     squares::{CellsAround, CellsBySquare, Extent, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
@@ -325,6 +323,9 @@ impl Visagge {
     /// Tells which of these are images.
     fn judge_opacity(&mut self, round: usize, changes: &mut Changes) {
         let mut opacity = AllOpacity::default();
+        let glimpses = self.glimpses();
+        let is_last = round + 1 == ROUNDS;
+        let are_others = is_last && glimpses != std::mem::replace(&mut self.judged_glimpses, glimpses);
         for number in 0..self.tiles.len() {
             let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
             if changes.0[number].judged {
@@ -337,12 +338,12 @@ impl Visagge {
         for (number, change) in changes.0.iter_mut().enumerate() {
             let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
             let opaque = opacity.opaque(&evidence.rounds[round].votes);
-            if change.judged || opaque != evidence.rounds[round].opaque {
+            if change.judged || are_others || opaque != evidence.rounds[round].opaque {
                 evidence.rounds[round].opaque = opaque;
-                if round + 1 < ROUNDS {
-                    evidence.take_mirrors(round + 1, change);
+                if is_last {
+                    change.unthinned |= evidence.take_unthinned(glimpses);
                 } else {
-                    change.unthinned |= evidence.take_unthinned(self.settings.has(Idea::Glimpses));
+                    evidence.take_mirrors(round + 1, change);
                 }
             }
         }
@@ -508,17 +509,17 @@ impl Evidence {
         }
     }
 
-    /// Takes note of which cells are images in the end, and, if glimpses are not shown, of which are those. Gives whether others were.
-    fn take_unthinned(&mut self, but_for_glimpses: bool) -> bool {
+    /// Takes note of which cells are images in the end, and which were seen through a surface in fewer scans than this. Gives whether others
+    /// were.
+    fn take_unthinned(&mut self, glimpses: u16) -> bool {
         let opaque = &self.rounds[ROUNDS - 1].opaque;
         let mut are_others = false;
         for (returns, judgement) in self.cells.returns.iter().zip(&mut self.judgements) {
             let Judgement { image, bridged, .. } = *judgement;
             let is_glimpse = || {
                 matches!(bridged, Verdict::Solid | Verdict::Bridged)
-                    && returns.hits < GLIMPSES
+                    && returns.hits < glimpses
                     && image.is_behind_surface()
-                    && but_for_glimpses
             };
             let verdict = if image.is_image(opaque) {
                 Verdict::Image

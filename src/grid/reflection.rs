@@ -24,6 +24,7 @@ use std::cell::LazyCell;
 use std::collections::{BTreeMap, HashMap};
 use std::f64::consts::SQRT_2;
 use std::hash::{BuildHasherDefault, Hash, Hasher};
+use std::ops::RangeInclusive;
 
 /// From which parts of the straight way from one end of the range of view angles to the other the line of sight is looked at, the
 /// most telling first. The very ends look past the edges of the surface that reflects, where a cell's error decides.
@@ -53,9 +54,12 @@ const OF_GLINTS: f64 = 0.5;
 /// An image in glass may be brighter than glass makes of the brightest walls by this factor: walls may be grey, where what is reflected is
 /// white, and brightness has a noise of 13 %.
 const WHITER: f64 = 4.0;
-/// What is seen through a surface, or in it, is solid only if it was seen in so many scans. Of somebody who walks by in a mirror each cell is
-/// seen in some, for 0.3 s at most, and nothing comes to free it: beams to what is farther meet the mirror elsewhere.
-pub(super) const GLIMPSES: u16 = 10;
+/// What is seen through a surface, or in it, is solid only if it was seen for so long (s), in as many scans as come in this time. Of somebody
+/// who walks by in a mirror each cell is seen for no longer than that, and nothing comes to free it: beams to what is farther meet the
+/// mirror elsewhere.
+const GLIMPSE: f64 = 0.26;
+/// No more scans than this are asked for, which a UTM-30LX sends in the time; nor fewer than make anything solid.
+const GLIMPSES: RangeInclusive<f64> = 2.0..=10.0;
 /// A wall hides what is behind it if it does so this far to both sides of the line of sight as well, step by step (m): past its ends and
 /// through its gaps errors of poses decide.
 const ASIDE: [f64; 5] = [0.0, 0.05, -0.05, 0.1, -0.1];
@@ -800,6 +804,14 @@ impl Evidence {
 }
 
 impl Visagge {
+    /// In so many scans something must have been seen through a surface, or in it, to be solid; in 0 where that does not matter.
+    pub(super) fn glimpses(&self) -> u16 {
+        let period = self.elapsed_ns as f64 * 1e-9 / f64::from(self.scan);
+        let scans = if period > 0.0 { GLIMPSE / period } else { f64::INFINITY };
+        let scans = scans.round().clamp(*GLIMPSES.start(), *GLIMPSES.end());
+        if self.settings.has(Idea::Glimpses) { scans as u16 } else { 0 }
+    }
+
     /// The cell that holds a point, which is not far beyond the map (m).
     fn cell_near(&self, point: [f64; 2]) -> CellIndex {
         let [x, y] = point.map(|at| floor_near(at / self.resolution));
@@ -1112,8 +1124,9 @@ mod tests {
     #[test]
     fn what_was_seen_in_some_scans_only_through_a_surface_is_not_shown() {
         let [mirror, _, behind] = mirror();
-        let judged = |mirrors: &[&Row], hits: u16| {
+        let judged = |mirrors: &[&Row], hits: u16, scans_a_second: u32| {
             let mut grid = drawn(&[]);
+            (grid.scan, grid.elapsed_ns) = (60 * scans_a_second, 60_000_000_000);
             mirrors.iter().for_each(|mirror| draw(&mut grid, mirror));
             let behind = Row { is_missed: false, ..behind.clone() };
             draw(&mut grid, &behind);
@@ -1125,9 +1138,10 @@ mod tests {
             }
             verdict(&mut grid, [1.01, 3.01])
         };
-        assert_eq!(judged(&[&mirror], 9), Verdict::TooFew);
-        assert_eq!(judged(&[&mirror], 10), Verdict::Solid);
-        assert_eq!(judged(&[], 9), Verdict::Solid, "through nothing");
+        assert_eq!(judged(&[&mirror], 9, 40), Verdict::TooFew);
+        assert_eq!(judged(&[&mirror], 10, 40), Verdict::Solid);
+        assert_eq!(judged(&[&mirror], 9, 10), Verdict::Solid, "for as long as four times as many");
+        assert_eq!(judged(&[], 9, 40), Verdict::Solid, "through nothing");
     }
 
     #[test]

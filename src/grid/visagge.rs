@@ -334,6 +334,8 @@ pub struct Visagge {
     /// Time from the first scan to the last (ns).
     pub(super) elapsed_ns: i64,
     pub(super) middle: Option<[f64; 2]>,
+    /// In how many scans something must have been seen through a surface when that was last judged.
+    pub(super) judged_glimpses: u16,
     /// Where it was when cells that the robot was in were last marked (m).
     marked_at: Option<[f64; 2]>,
 }
@@ -366,6 +368,7 @@ impl Visagge {
             first_stamp_ns: None,
             elapsed_ns: 0,
             middle: None,
+            judged_glimpses: 0,
             marked_at: None,
         }
     }
