@@ -369,7 +369,7 @@ pub(super) fn image(
         (Image::Yes, Some(glass), Some(brightness))
             if cell.returns.glints == 0
                 && brightness > (glass.reflects.powi(2) * WHITER).log2()
-                && grid.settings.has(Idea::Bright) =>
+                && [Idea::Fresnel, Idea::Bright].iter().all(|idea| grid.settings.has(*idea)) =>
         {
             Image::Unknown(glass.block)
         }
