@@ -56,9 +56,9 @@ pub struct VisaggeSettings {
     /// Time from one look at a cell to the next, but for what is within a metre (s, 0..1). Default 0.1; 0: it is looked at in
     /// each scan. Every return counts in any case.
     pub look_every: f64,
-    /// Whatever stood within this distance of the sensor's own path is gone (m, 0..1).
+    /// Whatever stood within this distance of the sensor's own path is gone (m, 0..1), and what comes there later is [somebody](Idea::Driven).
     pub body_radius: f64,
-    /// Ideas that the verdict does without, to see what they are worth.
+    /// Ideas that are left out, to see what they are worth.
     pub without: Vec<Idea>,
 }
 
@@ -92,7 +92,7 @@ impl VisaggeSettings {
         }
     }
 
-    /// Whether the verdict makes use of an idea.
+    /// Whether use is made of an idea.
     pub(super) fn has(&self, idea: Idea) -> bool {
         !self.without.contains(&idea)
     }
