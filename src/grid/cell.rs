@@ -96,7 +96,7 @@ pub struct Returns {
 
 /// What has glinted at least once in so many scans that it was seen in may be glass or metal. Random readings come once in a thousand beams
 /// (paper III-B), of which a scan has some in a cell.
-pub const HITS_A_GLINT: u16 = 64;
+const HITS_A_GLINT: u16 = 64;
 /// Units of brightness in an octave.
 pub const BRIGHTNESS: f32 = 256.0;
 /// Scans whose returns tell how bright a cell is: single ones have a noise of 13 %.
@@ -140,7 +140,7 @@ impl Returns {
 
     /// Whether it is glass, a mirror or metal, by its glints: they are no random readings.
     fn is_specular(&self) -> bool {
-        self.has_glinted() && self.glints_once_in(HITS_A_GLINT)
+        self.has_glinted() && self.glints_often()
     }
 
     /// Whether it has glinted: more than once, since now and then a random reading is bright.
@@ -148,9 +148,9 @@ impl Returns {
         self.glints >= 2
     }
 
-    /// Whether at least one in so many scans that it was seen in has brought a glint, as far as these are counted.
-    pub fn glints_once_in(&self, scans: u16) -> bool {
-        u16::from(self.glints) >= (self.hits / scans).clamp(1, u8::MAX.into())
+    /// Whether it has glinted at least once in [`HITS_A_GLINT`] scans that it was seen in, as far as glints are counted.
+    pub fn glints_often(&self) -> bool {
+        u16::from(self.glints) >= (self.hits / HITS_A_GLINT).clamp(1, u8::MAX.into())
     }
 
     /// Core step 1: a return, which may be a glint, at this place in the cell (cells, 0..1).

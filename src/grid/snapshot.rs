@@ -157,7 +157,7 @@ impl ShownCell {
                 *missed_width,
                 since_start,
                 since_width,
-                // As any number of 16 bits it would have a sign; 0 is no brightness.
+                // Without a sign: 0 where it is not known, 32768 as bright as the brightest walls.
                 returns.brightness.wrapping_sub(UNKNOWN) as u16,
             ],
         }

@@ -30,6 +30,12 @@ impl CellIndex {
         [self.x, self.y].map(|index| (f64::from(index) + 0.5) * resolution)
     }
 
+    /// Whether its middle is within so far of a point (m) in such a grid.
+    pub fn is_within(self, distance: f64, [x, y]: [f64; 2], resolution: f64) -> bool {
+        let [at_x, at_y] = self.middle(resolution);
+        (at_x - x).powi(2) + (at_y - y).powi(2) <= distance * distance
+    }
+
     /// Place of the tile that holds the cell, and the cell's column and row in it.
     pub fn split(self) -> (TileIndex, usize, usize) {
         let tile = TileIndex { x: self.x >> 6, y: self.y >> 6 };

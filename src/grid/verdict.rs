@@ -13,7 +13,7 @@
 
 use super::{
     angle::units,
-    cell::{Cell, HITS_A_GLINT, Returns},
+    cell::{Cell, Returns},
     idea::Idea,
     judge::Shape,
     mirrors::{Mirror, Plane},
@@ -241,10 +241,10 @@ pub(super) fn is_solid(cell: &Cell, settings: &VisaggeSettings) -> bool {
 /// before it was first seen may be a door that was shut since, but also dust or metal, which was met farther off its normal first, from
 /// where nothing came back that would tell of a miss.
 fn is_seen_through(cell: &Cell, alone: Verdict, settings: &VisaggeSettings) -> bool {
-    let glints = cell.returns.glints_once_in(HITS_A_GLINT);
+    let returns = &cell.returns;
     let was_missed = u32::from(cell.missed_width) >= units(SEEN_THROUGH);
-    was_missed
-        || (glints || cell.returns.was_crossed && alone == Verdict::Solid) && settings.has(Idea::Unmissed)
+    let may_show = || returns.glints_often() || returns.was_crossed && alone == Verdict::Solid;
+    was_missed || may_show() && settings.has(Idea::Unmissed)
 }
 
 /// Whether a surface along this line would be seen from where the cell was seen, and hardly from elsewhere.

@@ -586,8 +586,7 @@ impl Visagge {
         for row in low.y..=high.y {
             for column in low.x..=high.x {
                 let index = CellIndex { x: column, y: row };
-                let [at_x, at_y] = index.middle(resolution);
-                if (at_x - x).powi(2) + (at_y - y).powi(2) > radius * radius {
+                if !index.is_within(radius, [x, y], resolution) {
                     continue;
                 }
                 let (place, column, row) = index.split();
@@ -610,12 +609,8 @@ impl Visagge {
         let low = CellIndex::of(x - radius, y - radius, self.resolution);
         let high = CellIndex::of(x + radius, y + radius, self.resolution);
         let resolution = self.resolution;
-        let within = |place: TileIndex, returns: &Returns| {
-            let [column, row] = returns.place.map(usize::from);
-            let index = place.cell(column, row);
-            let [at_x, at_y] = index.middle(resolution);
-            (at_x - x).powi(2) + (at_y - y).powi(2) <= radius * radius
-        };
+        let within =
+            |place: TileIndex, returns: &Returns| returns.index(place).is_within(radius, [x, y], resolution);
         let (low, first_column, first_row) = low.split();
         let (high, last_column, last_row) = high.split();
         for place in (low.y..=high.y).flat_map(|y| (low.x..=high.x).map(move |x| TileIndex { x, y })) {
