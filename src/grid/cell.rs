@@ -148,7 +148,7 @@ impl Returns {
         self.glints >= 2
     }
 
-    /// Whether it has glinted at least once in [`HITS_A_GLINT`] scans that it was seen in, as far as glints are counted.
+    /// Whether it has glinted so often, for the scans that it was seen in, that this is not by chance; as far as glints are counted.
     pub fn glints_often(&self) -> bool {
         u16::from(self.glints) >= (self.hits / HITS_A_GLINT).clamp(1, u8::MAX.into())
     }
