@@ -6,6 +6,7 @@ use super::{
     angle::{Angle, AngleRange, atan2},
     tiles::{CellIndex, TileIndex},
     track::{Event, Track, UNITS_PER_M},
+    verdict::LASTING,
 };
 
 /// The rule of the core algorithm, in numbers.
@@ -264,8 +265,8 @@ impl Cell {
     }
 
     /// Numbers that are others as soon as anything is that the cell is judged by, all of it but when it was observed: the first tells of
-    /// where it is seen from, as far as that tells of images, how bright it is, and whether it has glinted, which is all that how it may be an
-    /// image depends on, the second of the rest.
+    /// where it is seen from, as far as that tells of images, how bright it is, whether it has glinted and whether it may pass by, which is
+    /// all that how it may be an image depends on, the second of the rest.
     pub fn fingerprints(&self) -> [[u32; 2]; 2] {
         let Cell { returns, visible, visible_too, missed_width, missed_since } = self;
         let pair = |[a, b]: [u32; 2]| u64::from(a) << 32 | u64::from(b);
@@ -278,6 +279,7 @@ impl Cell {
         let [ends_too, range_too] = too(visible_too);
         let seen_from = [
             u64::from(self.half_octaves() as u16) << 48
+                | u64::from(self.may_pass_by()) << 40
                 | u64::from(returns.glints.min(2)) << 32
                 | u64::from(range(&visible.range)),
             floats(visible.ranges),
@@ -292,6 +294,11 @@ impl Cell {
             ends_too,
         ];
         [print(&seen_from), print(&rest)]
+    }
+
+    /// Whether it may be somebody who walks by in a mirror: seen for less than a second, and never missed.
+    pub fn may_pass_by(&self) -> bool {
+        self.missed_width == 0 && self.lasted() < LASTING
     }
 
     /// Time from its first return to its last (s).

@@ -46,6 +46,11 @@ pub enum Idea {
     SecondRange,
     /// What is seen from some directions only is no original of an image that it would be seen in from others.
     Originals,
+    /// What a wall hides from a surface is no original of an image in it.
+    Hidden,
+    /// What was seen for less than a second and never missed may be somebody who walks by in a mirror: it does not tell that a surface is
+    /// seen through.
+    PassersBy,
     /// What is seen through a surface, or in it, in some scans only is not shown.
     Glimpses,
     /// Whatever is seen behind a wall that has always stood there is an image.
@@ -62,7 +67,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 26] = [
+    pub const ALL: [Idea; 28] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Driven,
@@ -83,6 +88,8 @@ impl Idea {
         Idea::Symmetry,
         Idea::SecondRange,
         Idea::Originals,
+        Idea::Hidden,
+        Idea::PassersBy,
         Idea::Glimpses,
         Idea::Walls,
         Idea::Glints,

@@ -7,7 +7,7 @@
 //! - Shape: the cell and its neighbours, as far as its [`Reach`] goes.
 //! - Gaps: what is shown by its shape in the tile and those around.
 //! - Images: the cell's own view angles, the cells on its lines of sight that are mirrors and walls, and what is shown, seen and free in
-//!   the squares where its original was sought ([`Extent`]); of cells whose lines of sight met nothing, only what has come onto these. Then,
+//!   the squares where its original was sought ([`Extent`]), and the walls in those that its light would come through; of cells whose lines of sight met nothing, only what has come onto these. Then,
 //!   which surfaces are opaque. All of this in [`ROUNDS`]: where the same reflects in one as in the one before, nothing is looked at again.
 //! - Thickness: all of this in the tile and those around.
 //!
@@ -41,6 +41,8 @@ pub(super) struct Judgement {
     sights: Sights,
     /// Where its original was sought.
     sought: Extent,
+    /// Which ways light from there was followed.
+    ways: Extent,
     /// What its shape says of it.
     shape: Verdict,
     /// The same with gaps bridged.
@@ -52,7 +54,7 @@ pub(super) struct Judgement {
 }
 
 /// Of every cell: what it takes counts.
-const _: () = assert!(size_of::<Judgement>() == 36);
+const _: () = assert!(size_of::<Judgement>() == 40);
 
 /// What a round of images has told of a cell.
 struct Found {
@@ -61,6 +63,7 @@ struct Found {
     image: Image,
     sights: Sights,
     sought: Extent,
+    ways: Extent,
 }
 
 /// What the shape of its neighbourhood says of a cell.
@@ -259,12 +262,13 @@ impl Visagge {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
             let others = self.in_the_way(evidence, ROUNDED, |number| &changes.0[number].mirrors[round]);
-            let originals = evidence
-                .sources
-                .sought
-                .iter()
-                .filter_map(|place| Some((place, self.change(changes, place)?.of_originals())));
-            let originals: Vec<_> = originals.filter(|(_, squares)| !squares.is_empty()).collect();
+            let sought = |squares: fn(&Change) -> Squares| -> Vec<(TileIndex, Squares)> {
+                let places = evidence.sources.sought.iter();
+                let changed = places.filter_map(|place| Some((place, squares(self.change(changes, place)?))));
+                changed.filter(|(_, squares)| !squares.is_empty()).collect()
+            };
+            let originals = sought(Change::of_originals);
+            let walls = sought(|change| change.walls.in_squares());
             if others.is_empty()
                 && originals.is_empty()
                 && !evidence.judgements.iter().any(|judgement| judgement.image_is_due)
@@ -280,23 +284,27 @@ impl Visagge {
                     return None;
                 }
                 let is_first = round == 0 || !is_mirror;
-                let Judgement { mut sights, mut sought, image_is_due: is_due, .. } = *judgement;
+                let Judgement { mut sights, mut sought, mut ways, image_is_due: is_due, .. } = *judgement;
                 if !(may_be && judgement.bridged.is_shown()) {
                     sights.set_clear(false);
-                    return is_due.then_some(Found { at, image: Image::No, sights, sought });
+                    return is_due.then_some(Found { at, image: Image::No, sights, sought, ways });
                 }
                 if !is_first && sights.are_clear() {
-                    return is_due.then_some(Found { at, image: Image::No, sights, sought });
+                    return is_due.then_some(Found { at, image: Image::No, sights, sought, ways });
                 }
                 let cell = evidence.cells.get(at);
                 let passes =
                     |spots: &[Spot]| !spots.is_empty() && reflection::passes(self, place, &cell, spots);
-                let are_originals_others =
-                    || originals.iter().any(|(tile, squares)| sought.touches(place, *tile, *squares));
+                let touch = |others: &[(TileIndex, Squares)], extent: Extent| {
+                    others.iter().any(|(tile, squares)| extent.touches(place, *tile, *squares))
+                };
                 let may_differ = if sights.are_clear() {
                     is_due || passes(&newly_met)
                 } else {
-                    is_due || are_originals_others() || passes(&others)
+                    is_due
+                        || touch(&originals, judgement.sought)
+                        || touch(&walls, judgement.ways)
+                        || passes(&others)
                 };
                 if !may_differ {
                     return None;
@@ -305,13 +313,14 @@ impl Visagge {
                     // What it met in the round before, it meets in this one.
                     let place = place_of(cell.returns.place);
                     let image = evidence.mirrors.as_ref()?.image(place, round - 1)?;
-                    return Some(Found { at, image, sights, sought });
+                    return Some(Found { at, image, sights, sought, ways });
                 }
                 let image = reflection::image(self, place, &cell, round, &mut sights, &mut lookups);
                 let is_new = is_due && is_first;
                 sought = if is_new { lookups.sought() } else { sought.and(lookups.sought()) };
+                ways = if is_new { lookups.ways() } else { ways.and(lookups.ways()) };
                 sights.set_clear(lookups.were_clear() && is_first && image == Image::No);
-                Some(Found { at, image, sights, sought })
+                Some(Found { at, image, sights, sought, ways })
             };
             let found = evidence.judgements.iter().enumerate().filter_map(judge).collect();
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
@@ -469,9 +478,9 @@ impl Evidence {
     /// Takes note of how cells may be images in a round, and of what is known of the lines of sight to them.
     fn take_images(&mut self, round: usize, found: Vec<Found>, change: &mut Change) {
         change.judged = true;
-        for Found { at, image, sights, sought } in found {
+        for Found { at, image, sights, sought, ways } in found {
             let judgement = &mut self.judgements[at];
-            (judgement.sights, judgement.sought) = (sights, sought);
+            (judgement.sights, judgement.sought, judgement.ways) = (sights, sought, ways);
             if round + 1 == ROUNDS {
                 change.image |= judgement.image != image;
                 (judgement.image, judgement.image_is_due) = (image, false);

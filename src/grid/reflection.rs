@@ -81,6 +81,11 @@ const OPAQUE: f32 = 0.65;
 /// A wall that runs straight at a mirror goes on this far before or behind each of its cells (m); one that is met face on, errors of
 /// ranges and poses included, is not that deep.
 const RUNS_ON: f64 = 0.25;
+/// A wall hides from a surface what is at least this far behind the wall (m): originals are sought within [0.3 m](WIDEST), and where light
+/// meets a wall at an angle of 17 degrees, 0.3 m beside is 1 m along it.
+const HIDDEN: f64 = 1.0;
+/// The ways that light could take are looked at between these, in parts of how exactly the original is known.
+const ACROSS: [f64; 5] = [0.0, 0.5, -0.5, 1.0, -1.0];
 /// Distance at which the scanner sees a good target (m). UTM-30LX: 30, which a target of albedo 0.9 returns.
 const SEES: f64 = 30.0;
 
@@ -90,10 +95,10 @@ pub(super) enum Image {
     /// Not seen through any surface.
     #[default]
     No,
-    /// Seen through a surface, and where its original would stand beams have passed.
+    /// Seen through a surface, and where its original would stand beams have passed, or a wall hides that place from the surface.
     Unexplained(Block),
     /// Seen through a surface, and no beam has come to where its original would stand, or it runs straight at the surface, or is too bright for
-    /// what would be glass.
+    /// what would be glass; or seen as shortly as somebody who walks by.
     Unknown(Block),
     /// Explained, but glass would not reflect that much: only an opaque surface there.
     IfOpaque(Block),
@@ -187,7 +192,8 @@ impl Lookups {
     /// The same, of cells of a tile.
     pub(super) fn of(tile: TileIndex, Sources { crossed, sought }: Sources) -> Lookups {
         let lookup = |places| Lookup { places, recent: [None; 64], met: false };
-        let sought = Sought { lookup: lookup(sought), of: tile, extent: Extent::default() };
+        let sought =
+            Sought { lookup: lookup(sought), of: tile, extent: Extent::default(), ways: Extent::default() };
         Lookups { crossed: lookup(crossed), sought }
     }
 
@@ -199,6 +205,11 @@ impl Lookups {
     /// Where originals were sought since this was last asked.
     pub(super) fn sought(&mut self) -> Extent {
         std::mem::take(&mut self.sought.extent)
+    }
+
+    /// Where light from originals was followed since this was last asked.
+    pub(super) fn ways(&mut self) -> Extent {
+        std::mem::take(&mut self.sought.ways)
     }
 }
 
@@ -241,6 +252,8 @@ struct Sought {
     of: TileIndex,
     /// Where those of one cell were sought, since this was last taken.
     extent: Extent,
+    /// Where light from there was followed.
+    ways: Extent,
 }
 
 impl Sought {
@@ -341,16 +354,28 @@ pub(super) fn image(
     let point = cell.index(place).middle(grid.resolution);
     let too = cell.telling_too().filter(|_| grid.settings.has(Idea::SecondRange));
     let has_glinted = cell.returns.has_glinted();
+    let passes_by = cell.may_pass_by() && grid.settings.has(Idea::PassersBy);
     let mut image = Image::Yes;
     let mut glass = None;
     for (range, visible) in [Some(&cell.visible), too].into_iter().flatten().enumerate() {
-        let mut unexplained = 0;
+        let (mut explaining, mut unexplained) = (0, 0);
         let [from, to] = visible.ends();
         for (observer, part) in OBSERVERS.into_iter().enumerate() {
             let [x, y] = [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * part);
             let from = [point[0] + x, point[1] + y];
-            let sight = Sight { from, to: point, range: (x * x + y * y).sqrt(), round, has_glinted };
-            match explained(grid, &sight, lookups, &mut glass) {
+            let sight = Sight {
+                from,
+                to: point,
+                range: (x * x + y * y).sqrt(),
+                round,
+                has_glinted,
+                // Where enough explain it, others do not matter; nor, before too many do not, how they do not.
+                may_explain: explaining < OBSERVERS.len() - GAPS,
+                decides: unexplained == GAPS,
+            };
+            let found = explained(grid, &sight, lookups, &mut glass);
+            explaining += usize::from(matches!(found, Image::IfOpaque(_) | Image::Yes));
+            match found {
                 Image::Yes => (),
                 _ if sights
                     .is_behind(range, observer, || is_behind_wall(grid, &sight, &mut lookups.crossed)) => {}
@@ -358,8 +383,13 @@ pub(super) fn image(
                 other => {
                     unexplained += 1;
                     if unexplained > GAPS {
-                        // Nor do glints move on.
-                        return if has_glinted { Image::No } else { other };
+                        return match other {
+                            // Nor do glints move on.
+                            _ if has_glinted => Image::No,
+                            // Nor does somebody who walks by tell what shows him.
+                            Image::Unexplained(block) if passes_by => Image::Unknown(block),
+                            other => other,
+                        };
                     }
                 }
             }
@@ -544,6 +574,10 @@ struct Sight {
     round: usize,
     /// Whether the cell has glints.
     has_glinted: bool,
+    /// Whether it matters that what would explain the cell is hidden.
+    may_explain: bool,
+    /// Whether it matters how the cell may be an image where nothing explains it.
+    decides: bool,
 }
 
 /// Whether a surface on the line of sight shows at its end what is elsewhere. Where it would as glass, `glass` becomes that surface, if it
@@ -578,8 +612,13 @@ fn explained<'a>(
             let [x, y] = image_of_sensor;
             Angle::of([x - mirrored[0], y - mirrored[1]])
         });
+        let is_hidden = |sought: &mut Sought| {
+            let met = [0, 1].map(|axis| sensor[axis] - view[axis] * distance / range);
+            grid.is_hidden(mirrored, tolerance, &Sight { from: met, ..*sight }, sought)
+        };
         let explains = is_within(BODY + tolerance, sensor)
-            || grid.has_original(mirrored, || *seen_from, tolerance, sought);
+            || grid.has_original(mirrored, || *seen_from, tolerance, sought)
+                && !(sight.may_explain && is_hidden(sought));
         let needed = (range / SEES).max(if sight.has_glinted { OF_GLINTS } else { 0.0 });
         let reflects = LazyCell::new(|| glass_reflects(mirror.plane.off_normal(view[1].atan2(view[0]))));
         let by_glass = || needed <= *reflects || !grid.settings.has(Idea::Fresnel);
@@ -592,7 +631,11 @@ fn explained<'a>(
             }
             (true, _) if grid.runs_along(point, mirror.plane.normal(), sought) => Image::Unknown(block),
             (true, _) => Image::IfOpaque(block),
-            (false, Image::No) if grid.is_crossed(mirrored, sought) => Image::Unexplained(block),
+            (false, Image::No)
+                if sight.decides && (grid.is_crossed(mirrored, sought) || is_hidden(sought)) =>
+            {
+                Image::Unexplained(block)
+            }
             (false, Image::No) => Image::Unknown(block),
             _ => image,
         };
@@ -839,6 +882,33 @@ impl Visagge {
         })
     }
 
+    /// Whether a wall hides what is at a point, give or take this distance (m), from where the line of sight begins, which is where another
+    /// meets a surface: no light goes that way, and what is seen there is no image of it. `sought` takes in where that was looked up.
+    fn is_hidden(&self, point: [f64; 2], distance: f64, sight: &Sight, sought: &mut Sought) -> bool {
+        let Sight { from, .. } = *sight;
+        let [x, y] = [0, 1].map(|axis| point[axis] - from[axis]);
+        let range = (x * x + y * y).sqrt();
+        if range <= HIDDEN || !self.settings.has(Idea::Hidden) {
+            return false;
+        }
+        // Lines of sight end before the cell that they lead to.
+        let part = 1.0 - (HIDDEN - CLEAR_OF_CELL) / range;
+        let end = |across: f64| {
+            let aside = across * distance / range;
+            [from[0] + x * part - y * aside, from[1] + y * part + x * aside]
+        };
+        for corner in [from, end(1.0), end(-1.0)] {
+            let (place, column, row) = self.cell_near(corner).split();
+            sought.ways.extend(sought.of, place, [[column, row]; 2]);
+        }
+        ACROSS.into_iter().all(|across| {
+            let to = end(across);
+            let range = ((to[0] - from[0]).powi(2) + (to[1] - from[1]).powi(2)).sqrt();
+            let sight = Sight { to, range, ..*sight };
+            follow(self, &sight, &mut sought.lookup, |evidence| Some(&evidence.walls), |_, _, _, _| true)
+        })
+    }
+
     /// Whether what is shown goes on from the point in this direction, or in the opposite one. Such a wall is its own image in a mirror that
     /// it runs straight at, and may stand on both sides of glass as well: it tells neither.
     fn runs_along(&self, point: [f64; 2], [x, y]: [f64; 2], sought: &mut Sought) -> bool {
@@ -927,6 +997,8 @@ mod tests {
                     range: 12.0,
                     round: 0,
                     has_glinted: false,
+                    may_explain: false,
+                    decides: false,
                 };
                 let looked = std::cell::Cell::new(0);
                 let cells = |evidence| {
@@ -972,10 +1044,10 @@ mod tests {
                 Some(number) => {
                     let block = &mut evidence.cells.blocks[number / LANES];
                     block.set(number % LANES, Track { place, ..track });
-                    evidence.is_touched = true;
                 }
                 None => evidence.fill([(returns, track)].into_iter()),
             }
+            evidence.is_touched = true;
         }
     }
 
@@ -1083,16 +1155,20 @@ mod tests {
 
     /// How a cell of the image in the [`pane`] may be one, had it such returns.
     fn found(rows: &[Row], returns: impl Fn(&mut Returns)) -> Image {
-        let mut grid = drawn(rows);
+        found_in(&mut drawn(rows), |cell| returns(&mut cell.returns))
+    }
+
+    /// The same in this grid, were it such a cell.
+    fn found_in(grid: &mut Visagge, change: impl Fn(&mut Cell)) -> Image {
         grid.decide();
         let (place, column, row) = CellIndex::of(1.01, 2.31, CELL).split();
         let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref()).expect("it was drawn");
         let number = evidence.slots.get(place_of([column as u8, row as u8])).expect("it was drawn");
         let mut cell = evidence.cells.get(number);
-        returns(&mut cell.returns);
+        change(&mut cell);
         let (mut sights, mut lookups) =
             (Sights::default(), Lookups::of(TileIndex { x: 0, y: 0 }, Sources::default()));
-        image(&grid, place, &cell, ROUNDS - 1, &mut sights, &mut lookups)
+        image(grid, place, &cell, ROUNDS - 1, &mut sights, &mut lookups)
     }
 
     #[test]
@@ -1144,6 +1220,47 @@ mod tests {
         assert_eq!(judged(&[], 9, 40), Verdict::Solid, "through nothing");
     }
 
+    /// A pane, with the sensor between it and a wall: something behind the wall, something as far behind the pane, and the wall.
+    fn hidden() -> [Row; 4] {
+        let row =
+            |y: f64, bearings| Row { x: [0.0, 4.4], y, bearings, range: y.abs() as f32, is_missed: false };
+        let pane = Row { is_missed: true, ..row(2.01, [-91.0, -89.0]) };
+        [pane, row(-1.49, [85.0, 95.0]), row(5.51, [-91.0, -89.0]), row(-0.39, [80.0, 100.0])]
+    }
+
+    #[test]
+    fn what_a_wall_hides_from_glass_is_no_original_of_what_is_seen_behind_the_glass() {
+        let [pane, original, behind, wall] = hidden();
+        let seen = |wall: Row, without: &[Idea]| {
+            let rows = [pane.clone(), original.clone(), behind.clone(), wall];
+            verdict(&mut drawn_without(without, &rows), [2.01, 5.51])
+        };
+        assert_eq!(seen(wall.clone(), &[]), Verdict::Solid);
+        assert_eq!(seen(wall.clone(), &[Idea::Hidden]), Verdict::Image);
+        assert_eq!(seen(Row { y: -0.59, ..wall.clone() }, &[]), Verdict::Image, "it may be the wall itself");
+        assert_eq!(seen(Row { x: [2.1, 4.4], ..wall.clone() }, &[]), Verdict::Image, "past its end");
+        assert_eq!(seen(Row { is_missed: true, ..wall }, &[]), Verdict::Image, "seen through glass");
+    }
+
+    #[test]
+    fn who_walks_by_in_a_mirror_does_not_tell_that_it_is_glass() {
+        let [pane, _, image] = pane();
+        let mut grid = drawn(&[pane, image]);
+        // Where the original would stand beams have passed.
+        let (place, _, row) = CellIndex::of(1.01, 0.91, CELL).split();
+        let number = grid.tiles.find_or_make(place);
+        grid.tiles.at_mut(number).free[row] = u64::MAX;
+        let mut seen = |lasted: f32, missed_width: u16| {
+            found_in(&mut grid, |cell| {
+                cell.returns.hit_time = [5.0, 5.0 + lasted];
+                cell.missed_width = missed_width;
+            })
+        };
+        assert!(matches!(seen(0.4, 0), Image::Unknown(_)));
+        assert!(matches!(seen(0.4, 9), Image::Unexplained(_)));
+        assert!(matches!(seen(1.2, 0), Image::Unexplained(_)));
+    }
+
     #[test]
     fn nothing_is_seen_through_a_wall() {
         let wall = |bearings, is_missed| Row { x: [0.0, 2.0], y: 1.01, bearings, range: 1.0, is_missed };
@@ -1172,6 +1289,12 @@ mod tests {
         assert_eq!(verdict(&mut grid, [1.01, 4.21]), Verdict::Surface);
         draw(&mut grid, &original([89.0, 91.0]));
         assert_eq!(verdict(&mut grid, [1.01, 4.21]), Verdict::Image, "it is seen from the mirror now");
+
+        let [pane, original, behind, wall] = hidden();
+        let mut grid = drawn(&[pane, original, behind]);
+        assert_eq!(verdict(&mut grid, [2.01, 5.51]), Verdict::Image);
+        draw(&mut grid, &wall);
+        assert_eq!(verdict(&mut grid, [2.01, 5.51]), Verdict::Solid, "no light comes from there now");
     }
 
     /// Asserts that what is known of images is what looking anew tells, in each round; gives of how many.

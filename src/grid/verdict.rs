@@ -95,7 +95,7 @@ const GAP: i32 = 5;
 /// sensor 2 m away moves by 9 degrees meanwhile.
 const WIDE: f64 = 0.17;
 /// Or if its returns came over at least this time (s): nobody who walks stays in a cell for a second.
-const LASTING: f32 = 1.0;
+pub(super) const LASTING: f32 = 1.0;
 /// What has come as a whole may be somebody who waits, for whom half a minute (s) is long. What has been put down and stays will be seen again.
 const STAYING: f32 = 30.0;
 /// But not if it is flat and as long as this (m): nobody is as wide.
