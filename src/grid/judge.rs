@@ -6,9 +6,10 @@
 //!
 //! - Shape: the cell and its neighbours, as far as its [`Reach`] goes.
 //! - Gaps: what is shown by its shape in the tile and those around.
-//! - Images: the cell's own view angles, the cells on its lines of sight that are mirrors and walls, and what is shown, seen and free in
-//!   the squares where its original was sought ([`Extent`]), and the walls in those that its light would come through; of cells whose lines of sight met nothing, only what has come onto these. Then,
-//!   which surfaces are opaque. All of this in [`ROUNDS`]: where the same reflects in one as in the one before, nothing is looked at again.
+//! - Images: the cell's own view angles, the cells on its lines of sight that are mirrors and walls, what is shown, seen and free in the
+//!   squares where its original was sought ([`Extent`]), and the walls in those that light from there would come through; of cells
+//!   whose lines of sight met nothing, only what has come onto these. Then, which surfaces are opaque. All of this in [`ROUNDS`]: where
+//!   the same reflects in one as in the one before, nothing is looked at again.
 //! - Thickness: all of this in the tile and those around.
 //!
 //! That a cell has changed is told by its [fingerprints](super::cell::Cell::fingerprints).
