@@ -17,7 +17,9 @@
 use super::{
     idea::Idea,
     mirrors::{Mirror, Mirrors, near},
-    reflection::{self, AllOpacity, BESIDE_WALLS, Image, Lookups, Opacity, ROUNDED, ROUNDS, Sights, Spot},
+    reflection::{
+        self, AllOpacity, BESIDE_WALLS, Image, Looked, Lookups, Opacity, ROUNDED, ROUNDS, Sights, Spot,
+    },
     squares::{CellsAround, CellsBySquare, Extent, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
@@ -41,9 +43,7 @@ pub(super) struct Judgement {
     /// What is known of the lines of sight to it.
     sights: Sights,
     /// Where its original was sought.
-    sought: Extent,
-    /// Which ways light from there was followed.
-    ways: Extent,
+    sought: Looked,
     /// What its shape says of it.
     shape: Verdict,
     /// The same with gaps bridged.
@@ -63,8 +63,7 @@ struct Found {
     at: usize,
     image: Image,
     sights: Sights,
-    sought: Extent,
-    ways: Extent,
+    sought: Looked,
 }
 
 /// What the shape of its neighbourhood says of a cell.
@@ -263,13 +262,13 @@ impl Visagge {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
             let others = self.in_the_way(evidence, ROUNDED, |number| &changes.0[number].mirrors[round]);
-            let sought = |squares: fn(&Change) -> Squares| -> Vec<(TileIndex, Squares)> {
+            let changed = |squares: fn(&Change) -> Squares| -> Vec<(TileIndex, Squares)> {
                 let places = evidence.sources.sought.iter();
-                let changed = places.filter_map(|place| Some((place, squares(self.change(changes, place)?))));
-                changed.filter(|(_, squares)| !squares.is_empty()).collect()
+                let found = places.filter_map(|place| Some((place, squares(self.change(changes, place)?))));
+                found.filter(|(_, squares)| !squares.is_empty()).collect()
             };
-            let originals = sought(Change::of_originals);
-            let walls = sought(|change| change.walls.in_squares());
+            let originals = changed(Change::of_originals);
+            let walls = changed(|change| change.walls.in_squares());
             if others.is_empty()
                 && originals.is_empty()
                 && !evidence.judgements.iter().any(|judgement| judgement.image_is_due)
@@ -285,13 +284,13 @@ impl Visagge {
                     return None;
                 }
                 let is_first = round == 0 || !is_mirror;
-                let Judgement { mut sights, mut sought, mut ways, image_is_due: is_due, .. } = *judgement;
+                let Judgement { mut sights, mut sought, image_is_due: is_due, .. } = *judgement;
                 if !(may_be && judgement.bridged.is_shown()) {
                     sights.set_clear(false);
-                    return is_due.then_some(Found { at, image: Image::No, sights, sought, ways });
+                    return is_due.then_some(Found { at, image: Image::No, sights, sought });
                 }
                 if !is_first && sights.are_clear() {
-                    return is_due.then_some(Found { at, image: Image::No, sights, sought, ways });
+                    return is_due.then_some(Found { at, image: Image::No, sights, sought });
                 }
                 let cell = evidence.cells.get(at);
                 let passes =
@@ -303,8 +302,8 @@ impl Visagge {
                     is_due || passes(&newly_met)
                 } else {
                     is_due
-                        || touch(&originals, judgement.sought)
-                        || touch(&walls, judgement.ways)
+                        || touch(&originals, sought.originals)
+                        || touch(&walls, sought.ways)
                         || passes(&others)
                 };
                 if !may_differ {
@@ -314,14 +313,13 @@ impl Visagge {
                     // What it met in the round before, it meets in this one.
                     let place = place_of(cell.returns.place);
                     let image = evidence.mirrors.as_ref()?.image(place, round - 1)?;
-                    return Some(Found { at, image, sights, sought, ways });
+                    return Some(Found { at, image, sights, sought });
                 }
                 let image = reflection::image(self, place, &cell, round, &mut sights, &mut lookups);
                 let is_new = is_due && is_first;
                 sought = if is_new { lookups.sought() } else { sought.and(lookups.sought()) };
-                ways = if is_new { lookups.ways() } else { ways.and(lookups.ways()) };
                 sights.set_clear(lookups.were_clear() && is_first && image == Image::No);
-                Some(Found { at, image, sights, sought, ways })
+                Some(Found { at, image, sights, sought })
             };
             let found = evidence.judgements.iter().enumerate().filter_map(judge).collect();
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
@@ -479,9 +477,9 @@ impl Evidence {
     /// Takes note of how cells may be images in a round, and of what is known of the lines of sight to them.
     fn take_images(&mut self, round: usize, found: Vec<Found>, change: &mut Change) {
         change.judged = true;
-        for Found { at, image, sights, sought, ways } in found {
+        for Found { at, image, sights, sought } in found {
             let judgement = &mut self.judgements[at];
-            (judgement.sights, judgement.sought, judgement.ways) = (sights, sought, ways);
+            (judgement.sights, judgement.sought) = (sights, sought);
             if round + 1 == ROUNDS {
                 change.image |= judgement.image != image;
                 (judgement.image, judgement.image_is_due) = (image, false);

@@ -166,6 +166,22 @@ impl Block {
     }
 }
 
+/// Where something was looked at for originals.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Looked {
+    /// Where they were sought.
+    pub originals: Extent,
+    /// Which ways light from there was followed.
+    pub ways: Extent,
+}
+
+impl Looked {
+    /// What holds both.
+    pub(super) fn and(self, other: Looked) -> Looked {
+        Looked { originals: self.originals.and(other.originals), ways: self.ways.and(other.ways) }
+    }
+}
+
 /// The tiles that images were judged by.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sources {
@@ -192,8 +208,7 @@ impl Lookups {
     /// The same, of cells of a tile.
     pub(super) fn of(tile: TileIndex, Sources { crossed, sought }: Sources) -> Lookups {
         let lookup = |places| Lookup { places, recent: [None; 64], met: false };
-        let sought =
-            Sought { lookup: lookup(sought), of: tile, extent: Extent::default(), ways: Extent::default() };
+        let sought = Sought { lookup: lookup(sought), of: tile, looked: Looked::default() };
         Lookups { crossed: lookup(crossed), sought }
     }
 
@@ -203,13 +218,8 @@ impl Lookups {
     }
 
     /// Where originals were sought since this was last asked.
-    pub(super) fn sought(&mut self) -> Extent {
-        std::mem::take(&mut self.sought.extent)
-    }
-
-    /// Where light from originals was followed since this was last asked.
-    pub(super) fn ways(&mut self) -> Extent {
-        std::mem::take(&mut self.sought.ways)
+    pub(super) fn sought(&mut self) -> Looked {
+        std::mem::take(&mut self.sought.looked)
     }
 }
 
@@ -250,16 +260,14 @@ struct Sought {
     lookup: Lookup,
     /// The tile whose cells are judged.
     of: TileIndex,
-    /// Where those of one cell were sought, since this was last taken.
-    extent: Extent,
-    /// Where light from there was followed.
-    ways: Extent,
+    /// Where that was for one cell, since this was last taken.
+    looked: Looked,
 }
 
 impl Sought {
     /// The tile at this place, of which the cells between these two are looked at.
     fn tile<'a>(&mut self, grid: &'a Visagge, place: TileIndex, cells: [[usize; 2]; 2]) -> Option<&'a Tile> {
-        self.extent.extend(self.of, place, cells);
+        self.looked.originals.extend(self.of, place, cells);
         self.lookup.tile(grid, place)
     }
 }
@@ -654,6 +662,11 @@ fn glass_reflects(incidence: f64) -> f64 {
     2.0 * across / (1.0 + across)
 }
 
+/// Whether the line of sight meets a wall.
+fn meets_wall(grid: &Visagge, sight: &Sight, crossed: &mut Lookup) -> bool {
+    follow(grid, sight, crossed, |evidence| Some(&evidence.walls), |_, _, _, _| true)
+}
+
 /// Whether a wall hides what is at the end of the line of sight.
 fn is_behind_wall(grid: &Visagge, sight: &Sight, crossed: &mut Lookup) -> bool {
     let [x, y] = [0, 1].map(|axis| (sight.to[axis] - sight.from[axis]) / sight.range);
@@ -661,7 +674,7 @@ fn is_behind_wall(grid: &Visagge, sight: &Sight, crossed: &mut Lookup) -> bool {
         && ASIDE.into_iter().all(|aside| {
             let beside = |[at_x, at_y]: [f64; 2]| [at_x - y * aside, at_y + x * aside];
             let sight = Sight { from: beside(sight.from), to: beside(sight.to), ..*sight };
-            follow(grid, &sight, crossed, |evidence| Some(&evidence.walls), |_, _, _, _| true)
+            meets_wall(grid, &sight, crossed)
         })
 }
 
@@ -899,13 +912,12 @@ impl Visagge {
         };
         for corner in [from, end(1.0), end(-1.0)] {
             let (place, column, row) = self.cell_near(corner).split();
-            sought.ways.extend(sought.of, place, [[column, row]; 2]);
+            sought.looked.ways.extend(sought.of, place, [[column, row]; 2]);
         }
         ACROSS.into_iter().all(|across| {
             let to = end(across);
             let range = ((to[0] - from[0]).powi(2) + (to[1] - from[1]).powi(2)).sqrt();
-            let sight = Sight { to, range, ..*sight };
-            follow(self, &sight, &mut sought.lookup, |evidence| Some(&evidence.walls), |_, _, _, _| true)
+            meets_wall(self, &Sight { to, range, ..*sight }, &mut sought.lookup)
         })
     }
 
