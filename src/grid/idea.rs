@@ -24,6 +24,8 @@ pub enum Idea {
     Singles,
     /// Long straight surfaces may be seen farther off their normal.
     LongSurfaces,
+    /// What is missed may be round, too: seen about the normal of a circle in each of its cells.
+    Round,
     /// Nothing else may be seen right before or behind a surface.
     Clutter,
     /// Cells in narrow gaps of what is shown are shown.
@@ -67,7 +69,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 28] = [
+    pub const ALL: [Idea; 29] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Driven,
@@ -77,6 +79,7 @@ impl Idea {
         Idea::PlanesFirst,
         Idea::Singles,
         Idea::LongSurfaces,
+        Idea::Round,
         Idea::Clutter,
         Idea::Gaps,
         Idea::Images,

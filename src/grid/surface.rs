@@ -8,7 +8,11 @@ use super::{
     verdict::is_solid,
     visagge::Visagge,
 };
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::{
+    f64::consts::{FRAC_PI_2, FRAC_PI_3, PI},
+    ops::Range,
+    sync::LazyLock,
+};
 
 /// Cells around a tile whose surfaces reach into it.
 pub const MARGIN: i32 = 24;
@@ -26,6 +30,14 @@ const PATCH_DEPTH: f64 = 0.15;
 pub const OF_PLANE: f64 = 0.05;
 /// The same where it bends: a pillar of glass of 1 m radius turns by this over the length of the patch.
 pub const OF_PILLAR: f64 = 0.3;
+/// Round surfaces, cases and columns, have radii of at least this many steps of 0.1 m, and less than so many: legs are thinner, and of what is
+/// wider a patch is flat enough.
+const RADII: Range<usize> = 2..10;
+const RADIUS_STEP: f64 = 0.1;
+/// A cell tells the radius if the normal there is turned by at least this (rad): 8 degrees, for which dust may be taken.
+const TURNED: f64 = 0.14;
+/// What is round is looked at as far as it bends by this to either side (rad): 60 degrees, half a patch at a radius of 0.46 m.
+const BEND: f64 = FRAC_PI_3;
 /// Returns that a cell counts with at most: enough that single ones do not spoil a line, few enough that nobody who stood
 /// still outweighs all else.
 const WEIGHT: u8 = 10;
@@ -285,6 +297,66 @@ impl Window {
         moments.line(origin)
     }
 
+    /// The line that touches, in a cell, the round surface through it: one that is met squarely, in each of the cells around, from where that
+    /// was seen. `reach` takes in all cells that this depends on.
+    pub fn round(&self, index: CellIndex, cell: &Cell, reach: &mut Reach) -> Option<Line> {
+        self.reach_patch(index, reach);
+        let origin = cell.returns_at(index, self.resolution);
+        let seen_from = cell.visible.range.middle();
+        let normal = direction(seen_from);
+        let minus = |[x, y]: [f64; 2], [from_x, from_y]: [f64; 2]| [x - from_x, y - from_y];
+        let times = |[x, y]: [f64; 2], [other_x, other_y]: [f64; 2]| x * other_x + y * other_y;
+        // Where each is, and how its normal is turned: on a circle, the one is so many times the other as the radius is long.
+        let neighbours = || {
+            let all =
+                self.rows_around(index).flat_map(|(first, count)| &self.cells[usize::from(first)..][..count]);
+            all.filter(|neighbour| neighbour.seen_from.distance(seen_from) <= units(BEND)).map(|neighbour| {
+                (neighbour, minus(neighbour.at, origin), minus(direction(neighbour.seen_from), normal))
+            })
+        };
+        // The weight of those that tell a radius between two steps, and with it the sum of what they tell.
+        let mut told = [[0.0; 2]; RADII.end];
+        for (neighbour, at, turned) in neighbours() {
+            let square = times(turned, turned);
+            if square < TURNED * TURNED {
+                continue;
+            }
+            let radius = times(at, turned) / square;
+            let step = (radius / RADIUS_STEP) as usize;
+            if RADII.contains(&step) && times(at, at) - radius * radius * square <= ON_LINE * ON_LINE {
+                told[step][0] += neighbour.weight;
+                told[step][1] += neighbour.weight * radius;
+            }
+        }
+        let around_steps = told.windows(2).map(|told| [0, 1].map(|number| told[0][number] + told[1][number]));
+        let most = around_steps.max_by(|a, b| a[0].total_cmp(&b[0]));
+        let radius = most.filter(|[weight, _]| *weight > 0.0).map(|[weight, sum]| sum / weight)?;
+        let (mut on, mut off, mut square_sum, mut glints) = (0.0, 0.0, 0.0, false);
+        let mut ends = [0.0f64; 2];
+        for (neighbour, at, turned) in neighbours() {
+            let away = minus(at, turned.map(|turned| radius * turned));
+            let square = times(away, away);
+            if square <= ON_LINE * ON_LINE {
+                on += neighbour.weight;
+                square_sum += neighbour.weight * square;
+                glints |= neighbour.glints;
+                let along = times(at, at).sqrt().copysign(at[1] * normal[0] - at[0] * normal[1]);
+                ends = [ends[0].min(along), ends[1].max(along)];
+            } else if !neighbour.is_solid && neighbour.seen_from.distance(seen_from) <= units(SAME_VIEW) {
+                off += neighbour.weight * one_if(times(away, normal).abs() <= CLUTTER);
+            }
+        }
+        Some(Line {
+            at: origin.map(|at| at as f32),
+            normal: seen_from.rad() as f32,
+            // Half of it is along the surface.
+            rms: (square_sum / on / 2.0).sqrt() as f32,
+            length: (ends[1] - ends[0]) as f32,
+            share: (on / (on + off)) as f32,
+            glints,
+        })
+    }
+
     /// Takes in all cells of [`Window::rows_around`].
     fn reach_patch(&self, index: CellIndex, reach: &mut Reach) {
         let [x, y] = self.inside(index);
@@ -378,4 +450,79 @@ impl Patch<'_> {
 
 fn one_if(holds: bool) -> f64 {
     f64::from(u8::from(holds))
+}
+
+/// The direction of length 1 at an angle, give or take a fifth of a degree: a sine takes long.
+fn direction(angle: Angle) -> [f64; 2] {
+    static DIRECTIONS: LazyLock<[[f64; 2]; 1024]> = LazyLock::new(|| {
+        std::array::from_fn(|number| {
+            let (sin, cos) = Angle((number << 6 | 1 << 5) as u16).rad().sin_cos();
+            [cos, sin]
+        })
+    });
+    DIRECTIONS[usize::from(angle.0 >> 6)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::{
+        angle::AngleRange,
+        cell::Returns,
+        idea::Idea,
+        track::{Sector, Track},
+        verdict::Verdict,
+        visagge::{VisaggeSettings, place_of},
+    };
+    use std::{collections::BTreeMap, f64::consts::TAU};
+
+    const CELL: f64 = 0.05;
+
+    /// What is judged of the cells of half a circle of this radius (m) around (2, 2), each seen over 6 degrees about the direction that
+    /// `seen_from` makes of the one from the middle (rad), and missed over 60.
+    fn judged(radius: f64, seen_from: impl Fn(f64) -> f64, without: &[Idea]) -> Vec<Verdict> {
+        let settings = VisaggeSettings { without: without.to_vec(), ..VisaggeSettings::default() };
+        let mut grid = Visagge::new(CELL, settings);
+        let mut cells = BTreeMap::new();
+        for step in 0..200 {
+            let bearing = TAU * f64::from(step) / 400.0;
+            let at = [bearing.cos(), bearing.sin()].map(|part| (2.0 + radius * part) / CELL);
+            let place = at.map(|at| at as u8);
+            cells.entry(place_of(place)).or_insert((place, at.map(f64::fract), seen_from(bearing)));
+        }
+        let cells = cells.into_iter().map(|(number, (place, inside, from))| {
+            let mut returns = Returns::new(place, true);
+            (returns.occupancy, returns.hits) = (20, 20);
+            returns.centroid = inside.map(|at| at as f32);
+            let width = |degrees: f64| units(degrees.to_radians()) as u16;
+            let range = AngleRange { start: Angle::from_rad(from - 3f64.to_radians()), width: width(6.0) };
+            let visible = Sector { range, ends: [1024; 2] };
+            (returns, Track { place: number, visible, missed_width: width(60.0), ..Track::default() })
+        });
+        let tile = grid.tiles.find_or_make(TileIndex { x: 0, y: 0 });
+        let evidence = grid.tiles.at_mut(tile).evidence.get_or_insert_default();
+        evidence.fill(cells);
+        evidence.is_touched = true;
+        grid.decide();
+        let evidence = grid.tiles.at(tile).evidence.as_ref().expect("it was filled");
+        evidence.judgements.iter().map(|judgement| judgement.verdict).collect()
+    }
+
+    #[test]
+    fn what_is_round_is_met_squarely_all_around() {
+        let shown = |judged: Vec<Verdict>| {
+            judged.iter().filter(|verdict| verdict.is_shown()).count() as f64 / judged.len() as f64
+        };
+        let squarely = |bearing: f64| bearing;
+        for radius in [0.3, 0.45, 0.6] {
+            assert!(shown(judged(radius, squarely, &[])) > 0.85, "{radius}");
+        }
+        assert!(shown(judged(0.45, squarely, &[Idea::Round])) < 0.2);
+        assert_eq!(shown(judged(0.12, squarely, &[])), 0.0, "a leg");
+        assert!(
+            shown(judged(0.45, |bearing| -bearing, &[])) < 0.2,
+            "somebody, from a robot that turns around him"
+        );
+        assert!(shown(judged(0.45, |bearing| bearing + 0.5, &[])) < 0.2, "off the normal");
+    }
 }

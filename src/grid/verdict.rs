@@ -1,13 +1,13 @@
 //! Which cells with evidence are shown as occupied, and why.
 //!
-//! The core algorithm needs two passes to tell a pane of glass from someone who walked by: both are seen
-//! for a moment, from a narrow range of angles. The verdict tells them apart after one. What was hardly
-//! ever missed is solid. What was missed must be explained as a surface that is visible near its normal
-//! only: the neighbouring cells must form a flat patch whose normal is the direction from which they were
-//! seen, with nothing else seen from there right before or behind it (paper IV-C gives the reason, and a
-//! weaker test); or they have glinted, where the scanner tells intensities. What was solid and is missed to the end has been taken away; what has come as a whole and is no larger than a person
-//! may be one who waits. What is the image of something else in a mapped surface, or is seen through a wall, is not there at all. And of
-//! what is left, a surface is drawn one cell thick.
+//! The core algorithm needs two passes to tell a pane of glass from someone who walked by: both are seen for a moment, from a narrow
+//! range of angles. The verdict tells them apart after one. What was hardly ever missed is solid. What was missed must be explained
+//! as a surface that is visible near its normal only: the neighbouring cells must form a flat patch whose normal is the direction
+//! from which they were seen, with nothing else seen from there right before or behind it (paper IV-C gives the reason, and a weaker
+//! test), or a piece of a circle that was met squarely in each of them; or they have glinted, where the scanner tells intensities.
+//! What was solid and is missed to the end has been taken away; what has come as a whole and is no larger than a person may be one
+//! who waits. What is the image of something else in a mapped surface, or is seen through a wall, is not there at all. And of what is
+//! left, a surface is drawn one cell thick.
 //!
 //! [`Idea`] names these and the further ones, each of which can be left out to see what it is worth.
 
@@ -215,9 +215,21 @@ impl Visagge {
         } else {
             None
         };
-        let verdict = shape(cell, line.as_ref(), has_come, settings);
+        // What is round is flat where it was met squarely, but too short.
+        let may_be_round = |line: &Line| {
+            let off = line.off_normal(cell.visible.range.middle().rad());
+            line.is_flat() && off <= OFF_LONG[0] && !explains(line, cell, settings)
+        };
+        let is_sought =
+            !alone.is_shown() && settings.has(Idea::Round) && line.as_ref().is_some_and(may_be_round);
+        let round = is_sought.then(|| window().round(index, cell, &mut reach)).flatten();
+        let round = round.filter(|line| explains(line, cell, settings));
+        let verdict = shape(cell, round.as_ref().or(line.as_ref()), has_come, settings);
+        // What is seen in something round is elsewhere.
         let mirror = line
-            .filter(|line| verdict.is_shown() && is_seen_through && !is_single && line.is_flat())
+            .filter(|line| {
+                verdict.is_shown() && round.is_none() && is_seen_through && !is_single && line.is_flat()
+            })
             .map(|line| {
                 let plane = Plane::new(&line, index.middle(self.resolution));
                 Mirror { plane, visible: cell.visible.range }
@@ -281,7 +293,8 @@ pub(super) fn is_in_the_way(cell: &Cell, settings: &VisaggeSettings) -> bool {
 
 /// Whether the cell was missed to the end, and not for being looked at along the surface through it.
 fn is_gone(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> bool {
-    let is_grazing = line.is_some_and(|line| line.off_normal(cell.missed_since.middle().rad()) > GRAZING);
+    let is_along = |line: &Line| line.off_normal(cell.missed_since.middle().rad()) > GRAZING;
+    let is_grazing = line.is_some_and(|line| line.is_flat() && line.length >= LEAST_LENGTH && is_along(line));
     u32::from(cell.missed_since.width) >= units(GONE) && !is_grazing && settings.has(Idea::TakenAway)
 }
 
@@ -422,7 +435,7 @@ mod tests {
     #[test]
     fn what_is_missed_to_the_end_where_it_would_return_has_gone() {
         let box_ = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0, glints: false };
-        let missed = |from: f64, seen_again: bool| {
+        let judged = |line: &Line, from: f64, seen_again: bool| {
             let mut cell = Cell::of(&Returns::new([0, 0], false), &Track::default());
             cell.returns.occupancy = 9;
             cell.visible.range = AngleRange { start: Angle(0), width: units(1.0) as u16 };
@@ -430,11 +443,14 @@ mod tests {
             let range = AngleRange { start, width: units(5f64.to_radians()) as u16 };
             cell.missed_width = range.width;
             cell.missed_since = if seen_again { AngleRange::default() } else { range };
-            shape(&cell, Some(&box_), false, &VisaggeSettings::default())
+            shape(&cell, Some(line), false, &VisaggeSettings::default())
         };
+        let missed = |from: f64, seen_again: bool| judged(&box_, from, seen_again);
         assert_eq!(missed(-50.0, false), Verdict::NoSurface);
         assert_eq!(missed(-50.0, true), Verdict::Solid);
         assert_eq!(missed(-85.0, false), Verdict::Solid, "along its face");
+        let somebody = Line { rms: 0.06, ..box_ };
+        assert_eq!(judged(&somebody, -85.0, false), Verdict::NoSurface, "who has no face");
     }
 
     #[test]
