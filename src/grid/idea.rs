@@ -53,7 +53,7 @@ pub enum Idea {
     /// What was seen for less than a second and never missed may be somebody who walks by in a mirror: it does not tell that a surface is
     /// seen through.
     PassersBy,
-    /// What is seen through a surface, or in it, in some scans only is not shown.
+    /// What is seen through a surface, or in it, in some scans only is not shown where it may be somebody who walks by in a mirror.
     Glimpses,
     /// Whatever is seen behind a wall that has always stood there is an image.
     Walls,

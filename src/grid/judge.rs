@@ -527,7 +527,7 @@ impl Evidence {
             let is_glimpse = || {
                 matches!(bridged, Verdict::Solid | Verdict::Bridged)
                     && returns.hits < glimpses
-                    && image.is_behind_surface()
+                    && image.may_pass_by()
             };
             let verdict = if image.is_image(opaque) {
                 Verdict::Image

@@ -54,7 +54,7 @@ const OF_GLINTS: f64 = 0.5;
 /// An image in glass may be brighter than glass makes of the brightest walls by this factor: walls may be grey, where what is reflected is
 /// white, and brightness has a noise of 13 %.
 const WHITER: f64 = 4.0;
-/// What is seen through a surface, or in it, is solid only if it was seen for so long (s), in as many scans as come in this time. Of somebody
+/// What may be somebody who walks by in a mirror is solid only if it was seen for so long (s), in as many scans as come in this time. Of somebody
 /// who walks by in a mirror each cell is seen for no longer than that, and nothing comes to free it: beams to what is farther meet the
 /// mirror elsewhere.
 const GLIMPSE: f64 = 0.26;
@@ -95,10 +95,14 @@ pub(super) enum Image {
     /// Not seen through any surface.
     #[default]
     No,
-    /// Seen through a surface, and where its original would stand beams have passed, or a wall hides that place from the surface.
+    /// Seen through a surface, and where its original would stand beams have passed.
     Unexplained(Block),
+    /// The same, but seen as shortly as somebody who walks by.
+    PassedBy(Block),
+    /// Seen through a surface, and a wall hides from that where its original would stand: so it has none.
+    NoOriginal(Block),
     /// Seen through a surface, and no beam has come to where its original would stand, or it runs straight at the surface, or is too bright for
-    /// what would be glass; or seen as shortly as somebody who walks by.
+    /// what would be glass.
     Unknown(Block),
     /// Explained, but glass would not reflect that much: only an opaque surface there.
     IfOpaque(Block),
@@ -111,8 +115,8 @@ impl Image {
     pub fn number(self) -> u8 {
         match self {
             Image::No => 0,
-            Image::Unexplained(_) => 1,
-            Image::Unknown(_) => 2,
+            Image::Unexplained(_) | Image::NoOriginal(_) => 1,
+            Image::Unknown(_) | Image::PassedBy(_) => 2,
             Image::IfOpaque(_) => 3,
             Image::Yes => 4,
         }
@@ -123,16 +127,18 @@ impl Image {
         match self {
             Image::No => false,
             // Through what is opaque nothing is seen, explained or not: it has moved on, or was reflected twice.
-            Image::Unexplained(block) | Image::Unknown(block) | Image::IfOpaque(block) => {
-                opaque.binary_search(&block).is_ok()
-            }
+            Image::Unexplained(block)
+            | Image::PassedBy(block)
+            | Image::NoOriginal(block)
+            | Image::Unknown(block)
+            | Image::IfOpaque(block) => opaque.binary_search(&block).is_ok(),
             Image::Yes => true,
         }
     }
 
-    /// Whether a surface is on the lines of sight.
-    pub(super) fn is_behind_surface(self) -> bool {
-        self != Image::No
+    /// Whether it may be of somebody who walks by in a mirror: beams have passed where he would be, after him or before.
+    pub(super) fn may_pass_by(self) -> bool {
+        matches!(self, Image::Unexplained(_) | Image::PassedBy(_) | Image::IfOpaque(_))
     }
 }
 
@@ -301,8 +307,8 @@ impl Opacity {
     pub(super) fn vote(&mut self, image: Image) {
         let (block, explained, all) = match image {
             Image::No | Image::Yes => return,
-            Image::Unknown(block) => (block, 0, 0),
-            Image::Unexplained(block) => (block, 0, 1),
+            Image::Unknown(block) | Image::PassedBy(block) => (block, 0, 0),
+            Image::Unexplained(block) | Image::NoOriginal(block) => (block, 0, 1),
             Image::IfOpaque(block) => (block, 1, 1),
         };
         self.count(block, (explained, all));
@@ -395,7 +401,7 @@ pub(super) fn image(
                             // Nor do glints move on.
                             _ if has_glinted => Image::No,
                             // Nor does somebody who walks by tell what shows him.
-                            Image::Unexplained(block) if passes_by => Image::Unknown(block),
+                            Image::Unexplained(block) if passes_by => Image::PassedBy(block),
                             other => other,
                         };
                     }
@@ -639,11 +645,10 @@ fn explained<'a>(
             }
             (true, _) if grid.runs_along(point, mirror.plane.normal(), sought) => Image::Unknown(block),
             (true, _) => Image::IfOpaque(block),
-            (false, Image::No)
-                if sight.decides && (grid.is_crossed(mirrored, sought) || is_hidden(sought)) =>
-            {
+            (false, Image::No) if sight.decides && grid.is_crossed(mirrored, sought) => {
                 Image::Unexplained(block)
             }
+            (false, Image::No) if sight.decides && is_hidden(sought) => Image::NoOriginal(block),
             (false, Image::No) => Image::Unknown(block),
             _ => image,
         };
@@ -1167,13 +1172,16 @@ mod tests {
 
     /// How a cell of the image in the [`pane`] may be one, had it such returns.
     fn found(rows: &[Row], returns: impl Fn(&mut Returns)) -> Image {
-        found_in(&mut drawn(rows), |cell| returns(&mut cell.returns))
+        found_in(&mut drawn(rows), IMAGE, |cell| returns(&mut cell.returns))
     }
 
-    /// The same in this grid, were it such a cell.
-    fn found_in(grid: &mut Visagge, change: impl Fn(&mut Cell)) -> Image {
+    /// A point of the image in the [`pane`] (m).
+    const IMAGE: [f64; 2] = [1.01, 2.31];
+
+    /// The same of the cell at this point (m) in this grid, were it such a cell.
+    fn found_in(grid: &mut Visagge, [x, y]: [f64; 2], change: impl Fn(&mut Cell)) -> Image {
         grid.decide();
-        let (place, column, row) = CellIndex::of(1.01, 2.31, CELL).split();
+        let (place, column, row) = CellIndex::of(x, y, CELL).split();
         let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref()).expect("it was drawn");
         let number = evidence.slots.get(place_of([column as u8, row as u8])).expect("it was drawn");
         let mut cell = evidence.cells.get(number);
@@ -1212,8 +1220,11 @@ mod tests {
     #[test]
     fn what_was_seen_in_some_scans_only_through_a_surface_is_not_shown() {
         let [mirror, _, behind] = mirror();
-        let judged = |mirrors: &[&Row], hits: u16, scans_a_second: u32| {
+        let judged_if = |has_passed: bool, mirrors: &[&Row], hits: u16, scans_a_second: u32| {
             let mut grid = drawn(&[]);
+            if has_passed {
+                pass(&mut grid, [1.01, 1.01]);
+            }
             (grid.scan, grid.elapsed_ns) = (60 * scans_a_second, 60_000_000_000);
             mirrors.iter().for_each(|mirror| draw(&mut grid, mirror));
             let behind = Row { is_missed: false, ..behind.clone() };
@@ -1226,10 +1237,20 @@ mod tests {
             }
             verdict(&mut grid, [1.01, 3.01])
         };
+        let judged =
+            |mirrors: &[&Row], hits: u16, scans_a_second: u32| judged_if(true, mirrors, hits, scans_a_second);
         assert_eq!(judged(&[&mirror], 9, 40), Verdict::TooFew);
         assert_eq!(judged(&[&mirror], 10, 40), Verdict::Solid);
         assert_eq!(judged(&[&mirror], 9, 10), Verdict::Solid, "for as long as four times as many");
         assert_eq!(judged(&[], 9, 40), Verdict::Solid, "through nothing");
+        assert_eq!(judged_if(false, &[&mirror], 9, 40), Verdict::Solid, "nobody where no beam has come");
+    }
+
+    /// Beams have crossed all cells of the tile that are as far along y as this point (m).
+    fn pass(grid: &mut Visagge, [x, y]: [f64; 2]) {
+        let (place, _, row) = CellIndex::of(x, y, CELL).split();
+        let number = grid.tiles.find_or_make(place);
+        grid.tiles.at_mut(number).free[row] = u64::MAX;
     }
 
     /// A pane, with the sensor between it and a wall: something behind the wall, something as far behind the pane, and the wall.
@@ -1245,13 +1266,19 @@ mod tests {
         let [pane, original, behind, wall] = hidden();
         let seen = |wall: Row, without: &[Idea]| {
             let rows = [pane.clone(), original.clone(), behind.clone(), wall];
-            verdict(&mut drawn_without(without, &rows), [2.01, 5.51])
+            let mut grid = drawn_without(without, &rows);
+            (verdict(&mut grid, [2.01, 5.51]), found_in(&mut grid, [2.01, 5.51], |_| ()).number())
         };
-        assert_eq!(seen(wall.clone(), &[]), Verdict::Solid);
-        assert_eq!(seen(wall.clone(), &[Idea::Hidden]), Verdict::Image);
-        assert_eq!(seen(Row { y: -0.59, ..wall.clone() }, &[]), Verdict::Image, "it may be the wall itself");
-        assert_eq!(seen(Row { x: [2.1, 4.4], ..wall.clone() }, &[]), Verdict::Image, "past its end");
-        assert_eq!(seen(Row { is_missed: true, ..wall }, &[]), Verdict::Image, "seen through glass");
+        assert_eq!(seen(wall.clone(), &[]), (Verdict::Solid, 1));
+        assert_eq!(seen(wall.clone(), &[Idea::Hidden]), (Verdict::Image, 3));
+        assert_eq!(
+            seen(Row { y: -0.59, ..wall.clone() }, &[]),
+            (Verdict::Image, 3),
+            "it may be the wall itself"
+        );
+        let past_its_end = seen(Row { x: [2.1, 4.4], ..wall.clone() }, &[]);
+        assert_eq!(past_its_end, (Verdict::Solid, 3), "what else is seen there tells that it is glass");
+        assert_eq!(seen(Row { is_missed: true, ..wall }, &[]), (Verdict::Image, 3), "seen through glass");
     }
 
     #[test]
@@ -1259,16 +1286,14 @@ mod tests {
         let [pane, _, image] = pane();
         let mut grid = drawn(&[pane, image]);
         // Where the original would stand beams have passed.
-        let (place, _, row) = CellIndex::of(1.01, 0.91, CELL).split();
-        let number = grid.tiles.find_or_make(place);
-        grid.tiles.at_mut(number).free[row] = u64::MAX;
+        pass(&mut grid, [1.01, 0.91]);
         let mut seen = |lasted: f32, missed_width: u16| {
-            found_in(&mut grid, |cell| {
+            found_in(&mut grid, IMAGE, |cell| {
                 cell.returns.hit_time = [5.0, 5.0 + lasted];
                 cell.missed_width = missed_width;
             })
         };
-        assert!(matches!(seen(0.4, 0), Image::Unknown(_)));
+        assert!(matches!(seen(0.4, 0), Image::PassedBy(_)));
         assert!(matches!(seen(0.4, 9), Image::Unexplained(_)));
         assert!(matches!(seen(1.2, 0), Image::Unexplained(_)));
     }
