@@ -79,6 +79,9 @@ const OFF_SHORT: [f64; 2] = [0.14, 0.087];
 /// The same for surfaces too long and straight to be anybody's legs: 21 and 15 degrees. Dust is seen over tens of degrees
 /// (paper, Fig. 6) on both sides of the normal, where the robot's own image and what is behind outshine it.
 const OFF_LONG: [f64; 2] = [0.36, 0.26];
+/// What glints is seen over no more than this (rad), 29 degrees on either side of its normal: dust is seen over tens of degrees (paper, Fig. 6),
+/// and polished metal over about as many.
+const GLINTING: f64 = 1.0;
 /// A surface is long from here on (m): what somebody walks in a second.
 const LONG: f32 = 1.2;
 /// And straight up to this spread (m): ranges and poses alone.
@@ -279,7 +282,7 @@ fn explains(line: &Line, cell: &Cell, settings: &VisaggeSettings) -> bool {
 fn glints(cell: &Cell, settings: &VisaggeSettings) -> bool {
     cell.returns.has_glinted()
         && !is_solid(cell, settings)
-        && cell.visible.range.width_rad() <= 2.0 * OFF_LONG[0]
+        && cell.visible.range.width_rad() <= GLINTING
 }
 
 /// Whether the cell is where the robot itself has been, so that somebody must have come, or something that is known by its glints or by how
