@@ -34,8 +34,6 @@ pub enum Idea {
     Images,
     /// What was never missed may show something else too, if it glints, or if a beam had crossed it before it was first seen.
     Unmissed,
-    /// An image reflects nothing.
-    ImagesReflectNothing,
     /// Glass reflects only as much as physics allows; without, all that is explained is an image.
     Fresnel,
     /// An image in glass is no brighter than glass reflects; needs intensities.
@@ -69,7 +67,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 29] = [
+    pub const ALL: [Idea; 28] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Driven,
@@ -84,7 +82,6 @@ impl Idea {
         Idea::Gaps,
         Idea::Images,
         Idea::Unmissed,
-        Idea::ImagesReflectNothing,
         Idea::Fresnel,
         Idea::Bright,
         Idea::Opacity,

@@ -8,8 +8,7 @@
 //! - Gaps: what is shown by its shape in the tile and those around.
 //! - Images: the cell's own view angles, the cells on its lines of sight that are mirrors and walls, what is shown, seen and free in the
 //!   squares where its original was sought ([`Extent`]), and the walls in those that light from there would come through; of cells
-//!   whose lines of sight met nothing, only what has come onto these. Then, which surfaces are opaque. All of this in [`ROUNDS`]: where
-//!   the same reflects in one as in the one before, nothing is looked at again.
+//!   whose lines of sight met nothing, only what has come onto these. Then, which surfaces are opaque.
 //! - Thickness: all of this in the tile and those around.
 //!
 //! That a cell has changed is told by its [fingerprints](super::cell::Cell::fingerprints).
@@ -17,9 +16,7 @@
 use super::{
     idea::Idea,
     mirrors::{Mirror, Mirrors, near},
-    reflection::{
-        self, AllOpacity, BESIDE_WALLS, Image, Looked, Lookups, Opacity, ROUNDED, ROUNDS, Sights, Spot,
-    },
+    reflection::{self, AllOpacity, BESIDE_WALLS, Image, Looked, Lookups, Opacity, ROUNDED, Sights, Spot},
     squares::{CellsAround, CellsBySquare, Extent, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
@@ -36,9 +33,9 @@ pub(super) struct Judgement {
     fingerprints: [[u32; 2]; 2],
     /// The cells that `shape` depends on.
     reach: Reach,
-    /// How it may be an image, in the last round.
+    /// How it may be an image.
     pub image: Image,
-    /// Whether this, and the same in the rounds before, has to be judged anew.
+    /// Whether this has to be judged anew.
     image_is_due: bool,
     /// What is known of the lines of sight to it.
     sights: Sights,
@@ -57,7 +54,7 @@ pub(super) struct Judgement {
 /// Of every cell: what it takes counts.
 const _: () = assert!(size_of::<Judgement>() == 40);
 
-/// What a round of images has told of a cell.
+/// What was found of how a cell may be an image.
 struct Found {
     /// The cell's number.
     at: usize,
@@ -87,10 +84,10 @@ struct Change {
     judged: bool,
     /// Whether other cells are shown by themselves.
     shaped: bool,
-    /// Of a round of images, the cells in which lines of sight meet other mirrors.
-    mirrors: [CellsBySquare; ROUNDS],
+    /// The cells in which lines of sight meet other mirrors.
+    mirrors: CellsBySquare,
     /// Those of them in which no mirror was met before.
-    newly_met: [CellsBySquare; ROUNDS],
+    newly_met: CellsBySquare,
     /// Where other cells are mirrors, or these are seen from elsewhere.
     seen: Squares,
     /// Where other cells are shown, gaps bridged.
@@ -120,10 +117,8 @@ impl Visagge {
         self.judge_shapes(&mut changes);
         self.bridge_gaps(&mut changes);
         self.forget_sights(&changes);
-        for round in 0..ROUNDS {
-            self.judge_images(round, &mut changes);
-            self.judge_opacity(round, &mut changes);
-        }
+        self.judge_images(&mut changes);
+        self.judge_opacity(&mut changes);
         self.thin(&changes);
     }
 
@@ -246,22 +241,13 @@ impl Visagge {
         found.flat_map(|(place, cells)| Spot::of(place, cells, self.resolution, beside)).collect()
     }
 
-    /// Tells which cells that are shown may be images; before the last round, which of those that are mirrors.
-    fn judge_images(&mut self, round: usize, changes: &mut Changes) {
-        let is_last = round + 1 == ROUNDS;
-        let idea = if is_last { Idea::Images } else { Idea::ImagesReflectNothing };
-        let may_be = self.settings.has(Idea::Images) && self.settings.has(idea);
-        let was_sought = round > 0 && self.settings.has(Idea::ImagesReflectNothing);
-        let of_tile = |number| {
-            let mirrors = self.tiles.at(number).evidence.as_ref()?.mirrors.as_ref()?;
-            was_sought.then(|| mirrors.unlike_before(round))
-        };
-        let unlike_before: Vec<CellsBySquare> =
-            (0..self.tiles.len()).map(|number| of_tile(number).unwrap_or_default()).collect();
+    /// Tells which cells that are shown may be images.
+    fn judge_images(&mut self, changes: &mut Changes) {
+        let may_be = self.settings.has(Idea::Images);
         for number in 0..self.tiles.len() {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
-            let others = self.in_the_way(evidence, ROUNDED, |number| &changes.0[number].mirrors[round]);
+            let others = self.in_the_way(evidence, ROUNDED, |number| &changes.0[number].mirrors);
             let changed = |squares: fn(&Change) -> Squares| -> Vec<(TileIndex, Squares)> {
                 let places = evidence.sources.sought.iter();
                 let found = places.filter_map(|place| Some((place, squares(self.change(changes, place)?))));
@@ -275,21 +261,12 @@ impl Visagge {
             {
                 continue;
             }
-            let newly_met = self.in_the_way(evidence, ROUNDED, |number| &changes.0[number].newly_met[round]);
-            let met_others = self.in_the_way(evidence, ROUNDED, |number| &unlike_before[number]);
+            let newly_met = self.in_the_way(evidence, ROUNDED, |number| &changes.0[number].newly_met);
             let mut lookups = Lookups::of(place, evidence.sources.clone());
             let judge = |(at, judgement): (usize, &Judgement)| {
-                let is_mirror = evidence.is_mirror(at);
-                if !is_last && !is_mirror {
-                    return None;
-                }
-                let is_first = round == 0 || !is_mirror;
                 let Judgement { mut sights, mut sought, image_is_due: is_due, .. } = *judgement;
                 if !(may_be && judgement.bridged.is_shown()) {
                     sights.set_clear(false);
-                    return is_due.then_some(Found { at, image: Image::No, sights, sought });
-                }
-                if !is_first && sights.are_clear() {
                     return is_due.then_some(Found { at, image: Image::No, sights, sought });
                 }
                 let cell = evidence.cells.get(at);
@@ -309,50 +286,38 @@ impl Visagge {
                 if !may_differ {
                     return None;
                 }
-                if was_sought && !is_first && !passes(&met_others) {
-                    // What it met in the round before, it meets in this one.
-                    let place = place_of(cell.returns.place);
-                    let image = evidence.mirrors.as_ref()?.image(place, round - 1)?;
-                    return Some(Found { at, image, sights, sought });
-                }
-                let image = reflection::image(self, place, &cell, round, &mut sights, &mut lookups);
-                let is_new = is_due && is_first;
-                sought = if is_new { lookups.sought() } else { sought.and(lookups.sought()) };
-                sights.set_clear(lookups.were_clear() && is_first && image == Image::No);
+                let image = reflection::image(self, place, &cell, &mut sights, &mut lookups);
+                sought = if is_due { lookups.sought() } else { sought.and(lookups.sought()) };
+                sights.set_clear(lookups.were_clear() && image == Image::No);
                 Some(Found { at, image, sights, sought })
             };
             let found = evidence.judgements.iter().enumerate().filter_map(judge).collect();
             let evidence = self.tiles.at_mut(number).evidence.as_mut().expect("it was there");
             evidence.sources = lookups.into();
-            evidence.take_images(round, found, &mut changes.0[number]);
+            evidence.take_images(found, &mut changes.0[number]);
         }
     }
 
     /// Tells which of these are images.
-    fn judge_opacity(&mut self, round: usize, changes: &mut Changes) {
+    fn judge_opacity(&mut self, changes: &mut Changes) {
         let mut opacity = AllOpacity::default();
         let glimpses = self.glimpses();
-        let is_last = round + 1 == ROUNDS;
-        let are_others = is_last && glimpses != std::mem::replace(&mut self.judged_glimpses, glimpses);
+        let are_others = glimpses != std::mem::replace(&mut self.judged_glimpses, glimpses);
         for number in 0..self.tiles.len() {
             let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
             if changes.0[number].judged {
-                evidence.count_votes(round);
+                evidence.count_votes();
             }
             if self.settings.has(Idea::Opacity) {
-                opacity.add(&evidence.rounds[round].votes);
+                opacity.add(&evidence.votes);
             }
         }
         for (number, change) in changes.0.iter_mut().enumerate() {
             let Some(evidence) = &mut self.tiles.at_mut(number).evidence else { continue };
-            let opaque = opacity.opaque(&evidence.rounds[round].votes);
-            if change.judged || are_others || opaque != evidence.rounds[round].opaque {
-                evidence.rounds[round].opaque = opaque;
-                if is_last {
-                    change.unthinned |= evidence.take_unthinned(glimpses);
-                } else {
-                    evidence.take_mirrors(round + 1, change);
-                }
+            let opaque = opacity.opaque(&evidence.votes);
+            if change.judged || are_others || opaque != evidence.opaque {
+                evidence.opaque = opaque;
+                change.unthinned |= evidence.take_unthinned(glimpses);
             }
         }
     }
@@ -425,7 +390,6 @@ impl Evidence {
             let [column, row] = self.cells.returns[number].place;
             let place = place_of([column, row]);
             let was = before_at(place);
-            judgement.image_is_due |= was.is_some() != mirror.is_some();
             judged[usize::from(row)] |= 1 << column;
             let differs = |by: fn(&Mirror, &Mirror) -> bool| match (was, &mirror) {
                 (Some(was), Some(mirror)) => !by(was, mirror),
@@ -444,15 +408,13 @@ impl Evidence {
                 mirrors.push((place, *mirror));
             }
         }
-        self.mirrors = Mirrors::of(mirrors, before.as_deref()).map(Box::new);
-        change.mirrors = std::array::from_fn(|_| near(others));
+        self.mirrors = Mirrors::of(mirrors).map(Box::new);
+        change.mirrors = near(others);
         change.seen = Squares::of(seen);
-        change.newly_met = std::array::from_fn(|round| {
-            let [met, before] = [self.mirrors.as_deref(), before.as_deref()]
-                .map(|mirrors| mirrors.map(|mirrors| mirrors.near(round)));
-            let none = CellsBySquare::default();
-            met.unwrap_or(&none).but(before.unwrap_or(&none))
-        });
+        let [met, met_before] =
+            [self.mirrors.as_deref(), before.as_deref()].map(|mirrors| mirrors.map(Mirrors::near));
+        let none = CellsBySquare::default();
+        change.newly_met = met.unwrap_or(&none).but(met_before.unwrap_or(&none));
         let shaped = self.rows(|number| self.judgements[number].shape.is_shown());
         change.shaped = shaped != self.shaped;
         change.judged = true;
@@ -474,53 +436,27 @@ impl Evidence {
         (self.shown, self.walls) = (shown, walls);
     }
 
-    /// Takes note of how cells may be images in a round, and of what is known of the lines of sight to them.
-    fn take_images(&mut self, round: usize, found: Vec<Found>, change: &mut Change) {
+    /// Takes note of how cells may be images, and of what is known of the lines of sight to them.
+    fn take_images(&mut self, found: Vec<Found>, change: &mut Change) {
         change.judged = true;
         for Found { at, image, sights, sought } in found {
             let judgement = &mut self.judgements[at];
+            change.image |= judgement.image != image;
             (judgement.sights, judgement.sought) = (sights, sought);
-            if round + 1 == ROUNDS {
-                change.image |= judgement.image != image;
-                (judgement.image, judgement.image_is_due) = (image, false);
-            } else if let Some(mirrors) = &mut self.mirrors {
-                mirrors.set_image(place_of(self.cells.returns[at].place), round, image);
-                // It may be one in the rounds after this as they were judged before.
-                judgement.image_is_due |= sights.are_clear();
-            }
+            (judgement.image, judgement.image_is_due) = (image, false);
         }
     }
 
-    fn count_votes(&mut self, round: usize) {
+    fn count_votes(&mut self) {
         let mut votes = Opacity::default();
-        if round + 1 == ROUNDS {
-            self.judgements.iter().for_each(|judgement| votes.vote(judgement.image));
-        } else {
-            self.mirrors.iter().flat_map(|mirrors| mirrors.images(round)).for_each(|image| votes.vote(image));
-        }
-        self.rounds[round].votes = votes;
+        self.judgements.iter().for_each(|judgement| votes.vote(judgement.image));
+        self.votes = votes;
     }
 
-    /// Whether the cell with this number is a mirror.
-    fn is_mirror(&self, number: usize) -> bool {
-        let place = place_of(self.cells.returns[number].place);
-        self.mirrors.as_ref().is_some_and(|mirrors| mirrors.get(place).is_some())
-    }
-
-    /// Takes note of which mirrors reflect in this round, and whether others did.
-    fn take_mirrors(&mut self, round: usize, change: &mut Change) {
-        let Evidence { mirrors, rounds, .. } = self;
-        let others = mirrors.as_mut().and_then(|mirrors| mirrors.reflect(round, &rounds[round - 1].opaque));
-        if let Some([others, newly_met]) = others {
-            change.mirrors[round] = change.mirrors[round].or(&others);
-            change.newly_met[round] = change.newly_met[round].or(&newly_met);
-        }
-    }
-
-    /// Takes note of which cells are images in the end, and which were seen through a surface in fewer scans than this. Gives whether others
+    /// Takes note of which cells are images, and which were seen through a surface in fewer scans than this. Gives whether others
     /// were.
     fn take_unthinned(&mut self, glimpses: u16) -> bool {
-        let opaque = &self.rounds[ROUNDS - 1].opaque;
+        let opaque = &self.opaque;
         let mut are_others = false;
         for (returns, judgement) in self.cells.returns.iter().zip(&mut self.judgements) {
             let Judgement { image, bridged, .. } = *judgement;

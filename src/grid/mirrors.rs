@@ -2,7 +2,6 @@
 
 use super::{
     angle::AngleRange,
-    reflection::{Block, Image, ROUNDS},
     squares::{CellsBySquare, cells_of},
     surface::{Line, off_normal},
     tiles::SIDE,
@@ -72,32 +71,16 @@ impl Plane {
 /// A bit for each of some cells of a tile, a word a row.
 pub type Rows = [u64; SIDE as usize];
 
-/// Those of a tile, and which of them reflect in each round of [`super::reflection`].
+/// Those of a tile.
 #[derive(Clone, Debug)]
 pub struct Mirrors {
     /// By their places.
     mirrors: Vec<Mirror>,
-    /// How each of them may be an image itself, round by round but for the last.
-    images: Vec<[Image; ROUNDS - 1]>,
     rows: Rows,
     /// How many there are in the rows before each.
     before: [u16; SIDE as usize],
-    /// Those that reflect, round by round; in the first, all of them.
-    reflecting: [Reflecting; ROUNDS],
-}
-
-/// Those of a tile that reflect in a round.
-#[derive(Clone, Debug)]
-struct Reflecting {
-    cells: CellsBySquare,
-    /// These and the cells beside them.
+    /// In which cells a line of sight meets them.
     near: CellsBySquare,
-}
-
-impl From<Rows> for Reflecting {
-    fn from(rows: Rows) -> Reflecting {
-        Reflecting { cells: rows.into(), near: near(rows) }
-    }
 }
 
 /// These and the cells beside them: in which a line of sight [meets](Mirrors::nearest) one of them.
@@ -109,15 +92,9 @@ pub fn near(rows: Rows) -> CellsBySquare {
     CellsBySquare::from(near)
 }
 
-impl Reflecting {
-    fn has(&self, place: Place) -> bool {
-        self.cells.has(usize::from(place & 63), usize::from(place >> 6))
-    }
-}
-
 impl Mirrors {
-    /// These, each at its place; `None` where there are none. Until something else is known, those are images that were `before`.
-    pub fn of(mut mirrors: Vec<(Place, Mirror)>, before: Option<&Mirrors>) -> Option<Mirrors> {
+    /// These, each at its place; `None` where there are none.
+    pub fn of(mut mirrors: Vec<(Place, Mirror)>) -> Option<Mirrors> {
         if mirrors.is_empty() {
             return None;
         }
@@ -125,36 +102,22 @@ impl Mirrors {
         let mut rows: Rows = [0; SIDE as usize];
         mirrors.iter().for_each(|(place, _)| rows[usize::from(place >> 6)] |= 1 << (place & 63));
         let mut count = 0;
-        let counts = rows.map(|row| {
+        let before = rows.map(|row| {
             count += row.count_ones() as u16;
             count - row.count_ones() as u16
         });
-        let reflecting = std::array::from_fn(|round| {
-            let mut reflecting = rows;
-            for before in before.iter() {
-                for (place, _) in before.iter().filter(|(place, _)| !before.reflecting[round].has(*place)) {
-                    reflecting[usize::from(place >> 6)] &= !(1 << (place & 63));
-                }
-            }
-            reflecting.into()
-        });
-        let images = |place| before.and_then(|before| Some(before.images[before.number(place)?]));
-        let images = mirrors.iter().map(|(place, _)| images(*place).unwrap_or_default()).collect();
         // Collected in place, where there was room for the places too.
         let mut mirrors: Vec<Mirror> = mirrors.into_iter().map(|(_, mirror)| mirror).collect();
         mirrors.shrink_to_fit();
-        Some(Mirrors { mirrors, images, rows, before: counts, reflecting })
+        Some(Mirrors { mirrors, rows, before, near: near(rows) })
     }
 
     /// All of them, by their places in the tile.
     pub fn iter(&self) -> impl Iterator<Item = (Place, &Mirror)> {
-        self.places().zip(&self.mirrors)
-    }
-
-    /// The places of all of them in the tile, in their order.
-    pub fn places(&self) -> impl Iterator<Item = Place> {
         let rows = self.rows.iter().enumerate();
-        rows.flat_map(|(row, &cells)| cells_of(cells).map(move |column| place_of([column as u8, row as u8])))
+        let places = rows
+            .flat_map(|(row, &cells)| cells_of(cells).map(move |column| place_of([column as u8, row as u8])));
+        places.zip(&self.mirrors)
     }
 
     /// Which of them the cell at this place is, if it is one of them.
@@ -170,65 +133,22 @@ impl Mirrors {
         self.number(place).map(|number| &self.mirrors[number])
     }
 
-    /// How they may be images themselves in a round, which is not the last.
-    pub fn images(&self, round: usize) -> impl Iterator<Item = Image> {
-        self.images.iter().map(move |images| images[round])
-    }
-
-    /// How the one at this place may be an image in a round, which is not the last, if it is one of them.
-    pub fn image(&self, place: Place, round: usize) -> Option<Image> {
-        self.number(place).map(|number| self.images[number][round])
-    }
-
-    /// The cells in which a line of sight meets others in this round than in the one before.
-    pub fn unlike_before(&self, round: usize) -> CellsBySquare {
-        let [before, now] = [round - 1, round].map(|round| &self.reflecting[round].cells);
-        if now == before { CellsBySquare::default() } else { near(now.unlike(before).rows()) }
-    }
-
-    /// Takes note of how the one at this place may be an image in a round, which is not the last.
-    pub fn set_image(&mut self, place: Place, round: usize, image: Image) {
-        if let Some(number) = self.number(place) {
-            self.images[number][round] = image;
-        }
-    }
-
-    /// The one in this column and row, or beside, that reflects in this round.
-    pub fn nearest(&self, column: usize, row: usize, round: usize) -> Option<&Mirror> {
-        let reflecting = &self.reflecting[round];
+    /// The one in this column and row, or beside.
+    pub fn nearest(&self, column: usize, row: usize) -> Option<&Mirror> {
         [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
             .into_iter()
             .map(|(x, y)| (column as i32 + x, row as i32 + y))
             .filter(|(x, y)| (0..SIDE).contains(x) && (0..SIDE).contains(y))
-            .map(|(x, y)| (y << 6 | x) as Place)
-            .find(|place| reflecting.has(*place))
-            .and_then(|place| self.get(place))
+            .find_map(|(x, y)| self.get((y << 6 | x) as Place))
     }
 
-    /// Those that reflect in this round, and the cells beside them.
-    pub fn near(&self, round: usize) -> &CellsBySquare {
-        &self.reflecting[round].near
-    }
-
-    /// From now on, those reflect in a round that are no images in the one before, where these blocks are opaque. Where others did, gives
-    /// the cells in which lines of sight meet others, and those in which they meet one where they met none before.
-    pub fn reflect(&mut self, round: usize, opaque: &[Block]) -> Option<[CellsBySquare; 2]> {
-        let mut rows: Rows = [0; SIDE as usize];
-        for (place, image) in self.places().zip(self.images(round - 1)) {
-            rows[usize::from(place >> 6)] |= u64::from(!image.is_image(opaque)) << (place & 63);
-        }
-        let before = std::mem::replace(&mut self.reflecting[round], rows.into());
-        let Reflecting { cells, near } = &self.reflecting[round];
-        let others = cells.unlike(&before.cells);
-        (!others.is_empty()).then(|| [self::near(others.rows()), near.but(&before.near)])
+    /// The cells in which a line of sight meets one of them: these and those beside them.
+    pub fn near(&self) -> &CellsBySquare {
+        &self.near
     }
 
     /// Memory that they hold (bytes).
     pub fn bytes(&self) -> usize {
-        let squares = self.reflecting.iter().map(|Reflecting { cells, near }| cells.bytes() + near.bytes());
-        size_of_val(self)
-            + self.mirrors.capacity() * size_of::<Mirror>()
-            + self.images.capacity() * size_of::<[Image; ROUNDS - 1]>()
-            + squares.sum::<usize>()
+        size_of_val(self) + self.mirrors.capacity() * size_of::<Mirror>() + self.near.bytes()
     }
 }

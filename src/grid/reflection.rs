@@ -7,9 +7,6 @@
 //!
 //! Where the mirror is not mapped, or not well enough, a wall may tell as much: what is seen through one that has always stood there is an
 //! image of something, wherever that is.
-//!
-//! An image reflects nothing: what is shown behind a mirror looks like a surface itself, which what stands there would be seen in. So
-//! the surfaces are judged first, [round](ROUNDS) by round.
 
 use super::{
     angle::{Angle, AngleRange, units},
@@ -67,11 +64,6 @@ const ASIDE: [f64; 5] = [0.0, 0.05, -0.05, 0.1, -0.1];
 pub(super) const BESIDE_WALLS: f64 = 0.15;
 /// More than a line of sight is off by rounding (m).
 pub(super) const ROUNDED: f64 = 0.01;
-
-/// How often images are sought. In the first rounds among surfaces only, in the last one among all cells; each time those that were found to
-/// be images in the round before reflect nothing. What the first takes away too much, by surfaces that are images, the second gives
-/// back, and too much; more than three change next to nothing.
-pub(super) const ROUNDS: usize = 3;
 
 /// Half the side of the blocks in which surfaces are told to be opaque or not (cells).
 const BLOCK: i32 = 16;
@@ -355,13 +347,12 @@ impl AllOpacity {
     }
 }
 
-/// Whether a cell is explained as an image from everywhere it was seen, by what reflects in this round. `lookups` take in what this
+/// Whether a cell is explained as an image from everywhere it was seen. `lookups` take in what this
 /// depends on, but for the cell.
 pub(super) fn image(
     grid: &Visagge,
     place: TileIndex,
     cell: &Cell,
-    round: usize,
     sights: &mut Sights,
     lookups: &mut Lookups,
 ) -> Image {
@@ -381,7 +372,6 @@ pub(super) fn image(
                 from,
                 to: point,
                 range: (x * x + y * y).sqrt(),
-                round,
                 has_glinted,
                 // Where enough explain it, others do not matter; nor, before too many do not, how they do not.
                 may_explain: explaining < OBSERVERS.len() - GAPS,
@@ -441,8 +431,7 @@ pub(super) struct Sights {
 const CLEAR: u8 = 1 << 7;
 
 impl Sights {
-    /// Whether the cell is no image since its lines of sight met nothing in the first round in which it was judged: then they meet nothing
-    /// in those after it, where fewer reflect.
+    /// Whether the cell is no image since its lines of sight met nothing.
     pub(super) fn are_clear(self) -> bool {
         self.behind & CLEAR != 0
     }
@@ -584,8 +573,6 @@ struct Sight {
     to: [f64; 2],
     /// From one to the other (m).
     range: f64,
-    /// The round, which tells what reflects.
-    round: usize,
     /// Whether the cell has glints.
     has_glinted: bool,
     /// Whether it matters that what would explain the cell is hidden.
@@ -606,10 +593,10 @@ fn explained<'a>(
     let Sight { from: sensor, to: point, range, .. } = *sight;
     let Lookups { crossed, sought } = lookups;
     let view = [sensor[0] - point[0], sensor[1] - point[1]];
-    let near = |evidence: &'a Evidence| Some(evidence.mirrors.as_ref()?.near(sight.round));
+    let near = |evidence: &'a Evidence| Some(evidence.mirrors.as_ref()?.near());
     follow(grid, sight, crossed, near, |evidence, place, [column, row], distance| {
         let mirrors = evidence.mirrors.as_ref();
-        let mirror = mirrors.and_then(|mirrors| mirrors.nearest(column, row, sight.round));
+        let mirror = mirrors.and_then(|mirrors| mirrors.nearest(column, row));
         let Some(mirror) = mirror else { return false };
         let block = Block::of(place.cell(column, row));
         let [mirrored, image_of_sensor] = mirror.plane.reflect([point, sensor]);
@@ -1012,7 +999,6 @@ mod tests {
                     from: [start, 1.0],
                     to: [start + way * 12.0, 1.0 + 1e-9],
                     range: 12.0,
-                    round: 0,
                     has_glinted: false,
                     may_explain: false,
                     decides: false,
@@ -1141,14 +1127,6 @@ mod tests {
     }
 
     #[test]
-    fn an_image_reflects_nothing() {
-        // A box behind the image, seen past the mirror's end through the image: mirrored there, it would be at the mirror.
-        let box_ = Row { x: [1.4, 1.6], y: 4.01, bearings: [-24.0, -23.0], range: 3.8, is_missed: false };
-        let rows: Vec<Row> = mirror().into_iter().chain([box_]).collect();
-        assert_eq!(verdicts(&rows, [[1.51, 4.01], [1.01, 3.01]]), [Verdict::Solid, Verdict::Image]);
-    }
-
-    #[test]
     fn what_is_seen_from_the_other_side_only_is_no_original() {
         // Far enough apart that none is where another would show the robot.
         let at = |y: f64, row: &Row| Row { y, range: y as f32, ..row.clone() };
@@ -1188,7 +1166,7 @@ mod tests {
         change(&mut cell);
         let (mut sights, mut lookups) =
             (Sights::default(), Lookups::of(TileIndex { x: 0, y: 0 }, Sources::default()));
-        image(grid, place, &cell, ROUNDS - 1, &mut sights, &mut lookups)
+        image(grid, place, &cell, &mut sights, &mut lookups)
     }
 
     #[test]
@@ -1334,30 +1312,19 @@ mod tests {
         assert_eq!(verdict(&mut grid, [2.01, 5.51]), Verdict::Solid, "no light comes from there now");
     }
 
-    /// Asserts that what is known of images is what looking anew tells, in each round; gives of how many.
+    /// Asserts that what is known of images is what looking anew tells; gives of how many.
     fn look_anew(grid: &mut Visagge) -> usize {
         grid.decide();
         let tiles = grid.tiles.iter().filter_map(|(place, tile)| Some((place, tile.evidence.as_ref()?)));
         let cells = tiles.flat_map(|(place, evidence)| {
-            evidence.cells.iter().zip(&evidence.judgements).map(move |cell| (place, evidence, cell))
+            evidence.cells.iter().zip(&evidence.judgements).map(move |cell| (place, cell))
         });
-        let first = if grid.settings.has(Idea::ImagesReflectNothing) { 0 } else { ROUNDS - 1 };
         let mut count = 0;
-        for (tile, evidence, (cell, judgement)) in cells {
-            if !judgement.unthinned.is_shown() && judgement.unthinned != Verdict::Image {
-                continue;
-            }
-            let mirrors = evidence.mirrors.as_ref();
-            for round in first..ROUNDS {
-                let place = place_of(cell.returns.place);
-                let known = match round + 1 {
-                    ROUNDS => Some(judgement.image),
-                    _ => mirrors.and_then(|mirrors| mirrors.image(place, round)),
-                };
-                let Some(known) = known else { continue };
+        for (tile, (cell, judgement)) in cells {
+            if judgement.unthinned.is_shown() || judgement.unthinned == Verdict::Image {
                 let mut lookups = Lookups::of(tile, Sources::default());
-                let anew = image(grid, tile, &cell, round, &mut Sights::default(), &mut lookups);
-                assert_eq!(known, anew, "{place:?} of {tile:?} in round {round}");
+                let anew = image(grid, tile, &cell, &mut Sights::default(), &mut lookups);
+                assert_eq!(judgement.image, anew, "{:?} of {tile:?}", cell.returns.place);
                 count += 1;
             }
         }
@@ -1369,7 +1336,7 @@ mod tests {
         let [mirror, original, image] = mirror();
         let moved = |row: &Row, x: f64| Row { x: [row.x[0] + x, row.x[1] + x], ..row.clone() };
         let box_ = Row { x: [1.4, 1.6], y: 4.01, bearings: [-24.0, -23.0], range: 3.8, is_missed: false };
-        for without in [&[][..], &[Idea::ImagesReflectNothing], &[Idea::Opacity]] {
+        for without in [&[][..], &[Idea::Opacity]] {
             let mut grid = drawn_without(without, &[mirror.clone(), image.clone()]);
             assert!(look_anew(&mut grid) >= 2 * 88, "a cell of either row at least once");
             // In other tiles, bit by bit: what images are of, what they are seen in, and what hides them.

@@ -107,11 +107,6 @@ impl From<[u64; SIDE as usize]> for CellsBySquare {
 }
 
 impl CellsBySquare {
-    /// Whether there is none.
-    pub fn is_empty(&self) -> bool {
-        self.squares == 0
-    }
-
     /// A bit for each square that holds one, row by row.
     pub fn squares(&self) -> u64 {
         self.squares
@@ -121,17 +116,6 @@ impl CellsBySquare {
     pub fn cells(&self, square: usize) -> u64 {
         let before = (self.squares & ((1 << square) - 1)).count_ones();
         if self.squares >> square & 1 == 1 { self.cells[before as usize] } else { 0 }
-    }
-
-    /// A bit for each of them, a word a row.
-    pub fn rows(&self) -> [u64; SIDE as usize] {
-        let mut rows = [0; SIDE as usize];
-        for (square, cells) in self.iter() {
-            for (row, cells) in (square & 0o70..).zip(cells.to_le_bytes()) {
-                rows[row] |= u64::from(cells) << (8 * (square & 7));
-            }
-        }
-        rows
     }
 
     /// The squares that hold one, and a bit for each of those in it, row by row.
@@ -152,11 +136,6 @@ impl CellsBySquare {
     /// Those that are one of both only.
     pub fn unlike(&self, others: &CellsBySquare) -> CellsBySquare {
         self.joined(others, |cells, others| cells ^ others)
-    }
-
-    /// Those that are one of either.
-    pub fn or(&self, others: &CellsBySquare) -> CellsBySquare {
-        self.joined(others, |cells, others| cells | others)
     }
 
     /// What this makes of the cells of each square.
@@ -377,11 +356,9 @@ mod tests {
         };
         let (a, b) = (cells(&[(0, 1), (9, 6)]), cells(&[(9, 2), (63, 1 << 63)]));
         let [of_a, of_b] = [a, b].map(CellsBySquare::from);
-        assert_eq!([of_a.rows(), of_b.rows()], [a, b]);
         assert_eq!(of_a.but(&of_b), cells(&[(0, 1), (9, 4)]).into());
         assert_eq!(of_a.unlike(&of_b), cells(&[(0, 1), (9, 4), (63, 1 << 63)]).into());
-        assert_eq!(of_a.or(&of_b), cells(&[(0, 1), (9, 6), (63, 1 << 63)]).into());
-        assert!(of_a.unlike(&of_a).is_empty());
+        assert_eq!(of_a.unlike(&of_a), CellsBySquare::default());
         assert_eq!(of_b.in_squares(), Squares::of(b));
     }
 

@@ -280,9 +280,7 @@ fn explains(line: &Line, cell: &Cell, settings: &VisaggeSettings) -> bool {
 /// Whether the cell is of a surface that was seen about its normal, by its glints alone. What was solid, or was seen over more than
 /// dust shows of glass, would have been seen from where it was missed as well.
 fn glints(cell: &Cell, settings: &VisaggeSettings) -> bool {
-    cell.returns.has_glinted()
-        && !is_solid(cell, settings)
-        && cell.visible.range.width_rad() <= GLINTING
+    cell.returns.has_glinted() && !is_solid(cell, settings) && cell.visible.range.width_rad() <= GLINTING
 }
 
 /// Whether the cell is where the robot itself has been, so that somebody must have come, or something that is known by its glints or by how

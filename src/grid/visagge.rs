@@ -17,7 +17,7 @@ use super::{
     mirrors::Mirrors,
     near::{Near, Turns},
     rays::Rays,
-    reflection::{Block, Opacity, ROUNDS, Sources},
+    reflection::{Block, Opacity, Sources},
     saved::PAUSE_NS,
     slots::Slots,
     snapshot::ShownTile,
@@ -136,15 +136,8 @@ pub(super) struct Evidence {
     pub(super) walls: CellsBySquare,
     /// Those that something may be seen through or in.
     pub(super) mirrors: Option<Box<Mirrors>>,
-    /// What the images among the cells were judged by, in all rounds.
+    /// What the images among the cells were judged by.
     pub(super) sources: Sources,
-    /// What surfaces were judged by, round by round.
-    pub(super) rounds: [Round; ROUNDS],
-}
-
-/// What surfaces were judged by in a [round](ROUNDS) of images.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Round {
     /// What is seen through surfaces in these cells.
     pub(super) votes: Opacity,
     /// The blocks of `votes` that were opaque.
@@ -166,7 +159,8 @@ impl Default for Evidence {
             walls: CellsBySquare::default(),
             mirrors: None,
             sources: Sources::default(),
-            rounds: Default::default(),
+            votes: Opacity::default(),
+            opaque: Vec::new(),
         }
     }
 }
@@ -218,7 +212,8 @@ impl Evidence {
             + self.mirrors.as_ref().map_or(0, |mirrors| mirrors.bytes())
             + self.walls.bytes()
             + self.sources.bytes()
-            + self.rounds.iter().map(Round::bytes).sum::<usize>()
+            + self.votes.bytes()
+            + self.opaque.capacity() * size_of::<Block>()
     }
 
     fn retain(&mut self, keep: impl Fn(&Returns) -> bool) {
@@ -236,13 +231,6 @@ impl Evidence {
                 self.slots.set(place_of(moved.place), number);
             }
         }
-    }
-}
-
-impl Round {
-    /// Memory beside itself (bytes).
-    fn bytes(&self) -> usize {
-        self.votes.bytes() + self.opaque.capacity() * size_of::<Block>()
     }
 }
 
