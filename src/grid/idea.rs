@@ -30,6 +30,8 @@ pub enum Idea {
     Clutter,
     /// Cells in narrow gaps of what is shown are shown.
     Gaps,
+    /// A surface is more than one cell: what is not solid is not shown where nothing beside it is.
+    Alone,
     /// Images are not shown.
     Images,
     /// What was never missed may show something else too, if it glints, or if a beam had crossed it before it was first seen.
@@ -67,7 +69,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 28] = [
+    pub const ALL: [Idea; 29] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Driven,
@@ -80,6 +82,7 @@ impl Idea {
         Idea::Round,
         Idea::Clutter,
         Idea::Gaps,
+        Idea::Alone,
         Idea::Images,
         Idea::Unmissed,
         Idea::Fresnel,

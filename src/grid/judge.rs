@@ -20,7 +20,7 @@ use super::{
     squares::{CellsAround, CellsBySquare, Extent, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
-    verdict::{Verdict, is_in_gap, is_in_the_way},
+    verdict::{Verdict, is_alone, is_in_gap, is_in_the_way},
     view::Place,
     visagge::{Evidence, Tile, Visagge, place_of},
 };
@@ -322,8 +322,8 @@ impl Visagge {
         }
     }
 
-    /// Draws surfaces one cell thick: ranges and poses spread the returns of a wall over cells one behind the other, and those
-    /// are shown that got the most.
+    /// Leaves out cells of surfaces that are alone, and draws surfaces one cell thick: ranges and poses spread the returns of a wall over
+    /// cells one behind the other, and those are shown that got the most.
     fn thin(&mut self, changes: &Changes) {
         for (number, change) in changes.0.iter().enumerate() {
             if change.image || !(change.free | change.cells).is_empty() {
@@ -344,7 +344,15 @@ impl Visagge {
                     let is_beside = judgement.unthinned.is_shown()
                         && self.settings.has(Idea::Thin)
                         && self.is_outweighed((place, evidence), at, &shown);
-                    if is_beside { Verdict::Beside } else { judgement.unthinned }
+                    let is_alone = judgement.unthinned.is_shown()
+                        && judgement.unthinned != Verdict::Solid
+                        && self.settings.has(Idea::Alone)
+                        && is_alone(evidence.cells.returns[at].place, &shown);
+                    match judgement.unthinned {
+                        _ if is_alone => Verdict::TooFew,
+                        _ if is_beside => Verdict::Beside,
+                        unthinned => unthinned,
+                    }
                 })
                 .collect();
             let tile = self.tiles.at_mut(number);

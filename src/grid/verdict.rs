@@ -39,7 +39,7 @@ pub enum Verdict {
     Repeated = 3,
     /// Shown: few returns, or no surface by themselves, but in a gap of what is shown on both sides.
     Bridged = 4,
-    /// Not shown: too few returns.
+    /// Not shown: too few returns, or too few cells.
     TooFew = 10,
     /// Not shown: missed, and part of no surface that could explain why. Somebody passed, or something was taken away.
     NoSurface = 11,
@@ -120,6 +120,12 @@ pub(super) fn is_in_gap(cell: [u8; 2], shown: &CellsAround) -> bool {
             (1..GAP).any(|step| shown(step) && shown(step + 1))
         })
     })
+}
+
+/// Whether none of the cells around, up to three columns and rows away, is `shown` by itself: of 0.3 m of a surface, which is the
+/// [least](LEAST_LENGTH), others are.
+pub(super) fn is_alone(cell: [u8; 2], shown: &CellsAround) -> bool {
+    shown.near(cell).iter().map(|cells| cells.count_ones()).sum::<u32>() <= 1
 }
 
 /// The step from a cell to the one behind it: across the row, column or diagonal in which most of its neighbours are `shown`. It is
@@ -530,5 +536,24 @@ mod tests {
         assert_eq!(drawn(&[3, 20, 80, 30, 2]), [0, 0, 1, 0, 0]);
         assert_eq!(drawn(&[3, 40, 50, 2]), [0, 1, 1, 0], "along the border of both");
         assert_eq!(drawn(&[90, 0, 0, 9]), [1, 0, 0, 1], "another surface");
+    }
+
+    #[test]
+    fn a_surface_is_more_than_one_cell() {
+        // Shown by themselves, in these columns.
+        let drawn = |columns: &[u8], by_itself: Verdict| {
+            let mut grid = Visagge::new(0.05, VisaggeSettings::default());
+            let number = grid.tiles.find_or_make(TileIndex { x: 0, y: 0 });
+            let evidence = grid.tiles.at_mut(number).evidence.get_or_insert_default();
+            evidence.fill(columns.iter().map(|&column| (Returns::new([column, 5], false), Track::default())));
+            evidence.judgements.iter_mut().for_each(|judgement| judgement.unthinned = by_itself);
+            columns.iter().for_each(|column| evidence.shown[5] |= 1 << column);
+            grid.thin_all();
+            grid.cells().map(|(.., judgement)| judgement.verdict).collect::<Vec<_>>()
+        };
+        assert_eq!(drawn(&[9], Verdict::Surface), [Verdict::TooFew]);
+        assert_eq!(drawn(&[9, 13], Verdict::Repeated), [Verdict::TooFew; 2]);
+        assert_eq!(drawn(&[9, 12], Verdict::Surface), [Verdict::Surface; 2]);
+        assert_eq!(drawn(&[9], Verdict::Solid), [Verdict::Solid], "the leg of a table");
     }
 }
