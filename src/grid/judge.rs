@@ -341,17 +341,17 @@ impl Visagge {
                 .iter()
                 .enumerate()
                 .map(|(at, judgement)| {
-                    let is_beside = judgement.unthinned.is_shown()
-                        && self.settings.has(Idea::Thin)
-                        && self.is_outweighed((place, evidence), at, &shown);
-                    let is_alone = judgement.unthinned.is_shown()
-                        && judgement.unthinned != Verdict::Solid
-                        && self.settings.has(Idea::Alone)
-                        && is_alone(evidence.cells.returns[at].place, &shown);
-                    match judgement.unthinned {
-                        _ if is_alone => Verdict::TooFew,
-                        _ if is_beside => Verdict::Beside,
-                        unthinned => unthinned,
+                    let unthinned = judgement.unthinned;
+                    let is_alone = || is_alone(evidence.cells.returns[at].place, &shown);
+                    let is_outweighed = || self.is_outweighed((place, evidence), at, &shown);
+                    if !unthinned.is_shown() {
+                        unthinned
+                    } else if unthinned != Verdict::Solid && self.settings.has(Idea::Alone) && is_alone() {
+                        Verdict::TooFew
+                    } else if self.settings.has(Idea::Thin) && is_outweighed() {
+                        Verdict::Beside
+                    } else {
+                        unthinned
                     }
                 })
                 .collect();

@@ -128,7 +128,8 @@ impl Image {
         }
     }
 
-    /// Whether it may be of somebody who walks by in a mirror: beams have passed where he would be, after him or before.
+    /// Whether it may be of somebody who walks by in a mirror: beams have passed where he would be, after him or before, or something is mapped
+    /// there that only a mirror would show.
     pub(super) fn may_pass_by(self) -> bool {
         matches!(self, Image::Unexplained(_) | Image::PassedBy(_) | Image::IfOpaque(_))
     }
@@ -347,8 +348,7 @@ impl AllOpacity {
     }
 }
 
-/// Whether a cell is explained as an image from everywhere it was seen. `lookups` take in what this
-/// depends on, but for the cell.
+/// Whether a cell is explained as an image from everywhere it was seen. `lookups` take in what this depends on, but for the cell.
 pub(super) fn image(
     grid: &Visagge,
     place: TileIndex,

@@ -8,6 +8,7 @@ use super::{
     verdict::is_solid,
     visagge::Visagge,
 };
+use nalgebra::Vector2;
 use std::{
     f64::consts::{FRAC_PI_2, FRAC_PI_3, PI},
     ops::Range,
@@ -34,7 +35,7 @@ pub const OF_PILLAR: f64 = 0.3;
 /// wider a patch is flat enough.
 const RADII: Range<usize> = 2..10;
 const RADIUS_STEP: f64 = 0.1;
-/// A cell tells the radius if the normal there is turned by at least this (rad): 8 degrees, for which dust may be taken.
+/// A cell tells the radius if the normal there is turned by at least this (rad), 8 degrees: by less, it may be seen off its normal as well.
 const TURNED: f64 = 0.14;
 /// What is round is looked at as far as it bends by this to either side (rad): 60 degrees, half a patch at a radius of 0.46 m.
 const BEND: f64 = FRAC_PI_3;
@@ -304,26 +305,25 @@ impl Window {
         let origin = cell.returns_at(index, self.resolution);
         let seen_from = cell.visible.range.middle();
         let normal = direction(seen_from);
-        let minus = |[x, y]: [f64; 2], [from_x, from_y]: [f64; 2]| [x - from_x, y - from_y];
-        let times = |[x, y]: [f64; 2], [other_x, other_y]: [f64; 2]| x * other_x + y * other_y;
         // Where each is, and how its normal is turned: on a circle, the one is so many times the other as the radius is long.
         let neighbours = || {
             let all =
                 self.rows_around(index).flat_map(|(first, count)| &self.cells[usize::from(first)..][..count]);
             all.filter(|neighbour| neighbour.seen_from.distance(seen_from) <= units(BEND)).map(|neighbour| {
-                (neighbour, minus(neighbour.at, origin), minus(direction(neighbour.seen_from), normal))
+                let at = Vector2::from(neighbour.at) - Vector2::from(origin);
+                (neighbour, at, direction(neighbour.seen_from) - normal)
             })
         };
         // The weight of those that tell a radius between two steps, and with it the sum of what they tell.
         let mut told = [[0.0; 2]; RADII.end];
         for (neighbour, at, turned) in neighbours() {
-            let square = times(turned, turned);
+            let square = turned.norm_squared();
             if square < TURNED * TURNED {
                 continue;
             }
-            let radius = times(at, turned) / square;
+            let radius = at.dot(&turned) / square;
             let step = (radius / RADIUS_STEP) as usize;
-            if RADII.contains(&step) && times(at, at) - radius * radius * square <= ON_LINE * ON_LINE {
+            if RADII.contains(&step) && at.norm_squared() - radius * radius * square <= ON_LINE * ON_LINE {
                 told[step][0] += neighbour.weight;
                 told[step][1] += neighbour.weight * radius;
             }
@@ -334,16 +334,16 @@ impl Window {
         let (mut on, mut off, mut square_sum, mut glints) = (0.0, 0.0, 0.0, false);
         let mut ends = [0.0f64; 2];
         for (neighbour, at, turned) in neighbours() {
-            let away = minus(at, turned.map(|turned| radius * turned));
-            let square = times(away, away);
+            let away = at - turned * radius;
+            let square = away.norm_squared();
             if square <= ON_LINE * ON_LINE {
                 on += neighbour.weight;
                 square_sum += neighbour.weight * square;
                 glints |= neighbour.glints;
-                let along = times(at, at).sqrt().copysign(at[1] * normal[0] - at[0] * normal[1]);
+                let along = at.norm().copysign(normal.perp(&at));
                 ends = [ends[0].min(along), ends[1].max(along)];
             } else if !neighbour.is_solid && neighbour.seen_from.distance(seen_from) <= units(SAME_VIEW) {
-                off += neighbour.weight * one_if(times(away, normal).abs() <= CLUTTER);
+                off += neighbour.weight * one_if(away.dot(&normal).abs() <= CLUTTER);
             }
         }
         Some(Line {
@@ -453,11 +453,11 @@ fn one_if(holds: bool) -> f64 {
 }
 
 /// The direction of length 1 at an angle, give or take a fifth of a degree: a sine takes long.
-fn direction(angle: Angle) -> [f64; 2] {
-    static DIRECTIONS: LazyLock<[[f64; 2]; 1024]> = LazyLock::new(|| {
+fn direction(angle: Angle) -> Vector2<f64> {
+    static DIRECTIONS: LazyLock<[Vector2<f64>; 1024]> = LazyLock::new(|| {
         std::array::from_fn(|number| {
             let (sin, cos) = Angle((number << 6 | 1 << 5) as u16).rad().sin_cos();
-            [cos, sin]
+            Vector2::new(cos, sin)
         })
     });
     DIRECTIONS[usize::from(angle.0 >> 6)]
