@@ -110,7 +110,7 @@ pub struct MapperSettings {
     pub fallback: Fallback,
     /// How scans are located, where poses are odometry or there are none.
     pub localize: LocalizeSettings,
-    /// Whether loops are closed while the drive goes on, where scans are matched in a map that began empty; not with `glints`.
+    /// Whether loops are closed while the drive goes on, where scans are matched in a map that began empty.
     /// Default true.
     pub close_loops: bool,
     /// What the VisAGGE grid assumes.
@@ -136,10 +136,9 @@ impl Default for MapperSettings {
 }
 
 impl MapperSettings {
-    /// Whether a mapper with an empty map closes loops. Who is told where scans were taken believes it; and the intensities
-    /// that mark glints are not kept.
+    /// Whether a mapper with an empty map closes loops. Who is told where scans were taken believes it.
     pub fn closes_loops(&self) -> bool {
-        self.close_loops && self.poses == PoseUse::Odometry && self.mapper != MapperKind::Glints
+        self.close_loops && self.poses == PoseUse::Odometry
     }
 }
 

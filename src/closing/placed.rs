@@ -1,4 +1,4 @@
-//! A scan that was placed, kept small: 2.3 kB for one of 1081 beams.
+//! A scan that was placed, kept small: 3.4 kB for one of 1081 beams with intensities.
 
 use crate::{
     grid::{Grid, sweep::Sweep},
@@ -12,13 +12,14 @@ const CODES: [(u16, f32); 3] = [(0, f32::NAN), (u16::MAX - 1, f32::NEG_INFINITY)
 /// The longest range that can be kept (mm); a UXM-30LX-EW measures up to 60 m.
 const LONGEST: f32 = (u16::MAX - 2) as f32;
 
-/// See the module. Its intensities are not kept, so a map that is made anew has no glints.
+/// See the module.
 #[derive(Clone, Debug)]
 pub struct Placed {
     seq: u64,
     stamp_ns: i64,
     geometry: Geometry,
     ranges_mm: Box<[u16]>,
+    intensities: Intensities,
     /// The scanner at the first and last beam, as it was located.
     start: Pose,
     end: Pose,
@@ -36,6 +37,7 @@ impl Placed {
             stamp_ns: scan.stamp_ns,
             geometry: scan.geometry,
             ranges_mm: scan.ranges.iter().map(|&range| millimetres(range)).collect(),
+            intensities: Intensities::new(&scan.intensities),
             start,
             end,
             way,
@@ -45,7 +47,7 @@ impl Placed {
 
     /// Memory that it holds (bytes).
     pub fn bytes(&self) -> usize {
-        size_of_val(self) + size_of_val(&*self.ranges_mm)
+        size_of_val(self) + size_of_val(&*self.ranges_mm) + size_of_val(&*self.intensities.steps)
     }
 
     /// Its number.
@@ -101,8 +103,35 @@ impl Placed {
             received_ns: self.stamp_ns,
             geometry: self.geometry,
             ranges: self.ranges_mm.iter().map(|&mm| metres(mm)).collect(),
-            intensities: Vec::new(),
+            intensities: self.intensities.iter().collect(),
         }
+    }
+}
+
+/// Intensities of a scan, each a power of the scan's own. A UTM-30LX's lie within two octaves, so each comes back within 0.3 %,
+/// which is 2 % of a brightness (its fifth power), where brightness has a noise of 13 % (paper III-C).
+#[derive(Clone, Debug, Default)]
+struct Intensities {
+    /// Logarithms to base 2 of the least one, and of how far they are apart.
+    least: f32,
+    step: f32,
+    /// How many steps each is above the least, from 1 on; 0 where there was none. Empty where the scan has none.
+    steps: Box<[u8]>,
+}
+
+impl Intensities {
+    fn new(intensities: &[f32]) -> Intensities {
+        let log = |intensity: f32| Some(intensity.log2()).filter(|log| log.is_finite());
+        let logs = || intensities.iter().filter_map(|&intensity| log(intensity));
+        let (least, most) = (logs().fold(f32::INFINITY, f32::min), logs().fold(f32::NEG_INFINITY, f32::max));
+        let step = ((most - least) / f32::from(u8::MAX - 1)).max(f32::MIN_POSITIVE);
+        let steps = |&intensity| log(intensity).map_or(0, |log| 1 + ((log - least) / step).round() as u8);
+        Intensities { least, step, steps: intensities.iter().map(steps).collect() }
+    }
+
+    fn iter(&self) -> impl Iterator<Item = f32> {
+        let intensity = |steps: u8| (self.least + f32::from(steps - 1) * self.step).exp2().min(f32::MAX);
+        self.steps.iter().map(move |&steps| if steps == 0 { 0.0 } else { intensity(steps) })
     }
 }
 
@@ -135,5 +164,26 @@ mod tests {
         assert!(metres(millimetres(f32::NAN)).is_nan());
         assert_eq!(millimetres(-1.0), 1, "no range is none");
         assert_eq!(millimetres(1e9), LONGEST as u16);
+    }
+
+    #[test]
+    fn intensities_come_back_as_nearly_as_brightness_is_measured() {
+        let back = |intensities: &[f32]| Intensities::new(intensities).iter().collect::<Vec<_>>();
+        let of_a_scanner: Vec<f32> = (0..1081).map(|beam| 3000.0 + 9000.0 * (beam as f32 / 1080.0)).collect();
+        for (kept, was) in back(&of_a_scanner).iter().zip(&of_a_scanner) {
+            assert!((kept / was - 1.0).abs() < 0.003, "{kept} for {was}");
+        }
+        assert_eq!(
+            back(&[0.0, f32::NAN, f32::INFINITY, -1.0, 64.0]),
+            [0.0, 0.0, 0.0, 0.0, 64.0],
+            "none, and one"
+        );
+        assert_eq!(back(&[5.0, 5.0]), [5.0, 5.0].map(|of: f32| of.log2().exp2()), "all the same");
+        for (kept, was) in
+            back(&[f32::MIN_POSITIVE, 1.0, f32::MAX]).iter().zip([f32::MIN_POSITIVE, 1.0, f32::MAX])
+        {
+            assert!((kept / was).log2().abs() <= 0.51, "{kept} for {was}: a step is an octave");
+        }
+        assert!(back(&[]).is_empty());
     }
 }
