@@ -65,11 +65,13 @@ pub enum Idea {
     Dull,
     /// Surfaces are drawn one cell thick.
     Thin,
+    /// What glints right before a wall is a pane, and is drawn beside the wall.
+    Panes,
 }
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 29] = [
+    pub const ALL: [Idea; 30] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Driven,
@@ -99,5 +101,6 @@ impl Idea {
         Idea::Outshone,
         Idea::Dull,
         Idea::Thin,
+        Idea::Panes,
     ];
 }

@@ -111,6 +111,11 @@ const GRAZING: f64 = 1.31;
 /// A cell is drawn unless one right before or behind it got so many times its returns. Where a wall's face runs along the border of two
 /// cells, both get the same, give or take a few.
 const OUTWEIGHS: f32 = 1.33;
+/// A pane right before a wall glints in at least this share of its scans, since the wall outshines what else of it could be seen ..
+const SHINES: f32 = 0.125;
+/// .. and in so many times the share that the cells behind it do, in which the wall's returns merge with glints: the scanner does not tell
+/// apart what is within some 12 cm.
+const OUTSHINES: f32 = 4.0;
 
 /// Whether two neighbouring cells that are `shown` by themselves lie near on both sides, along a row, a column or a diagonal.
 pub(super) fn is_in_gap(cell: [u8; 2], shown: &CellsAround) -> bool {
@@ -155,8 +160,15 @@ fn across(cell: &Cell, shown: &CellsAround) -> (i32, i32) {
     (-y, x)
 }
 
+/// Whether a cell glints as a pane does that stands right before what the other one is part of, which does not.
+fn is_pane_before(pane: &Returns, other: &Returns) -> bool {
+    let share = |of: &Returns| f32::from(of.glints) / f32::from(of.hits);
+    pane.has_glinted() && pane.glints > other.glints && share(pane) >= SHINES.max(OUTSHINES * share(other))
+}
+
 impl Visagge {
-    /// Whether a cell that is shown, right before or behind the one with this number in a tile, got clearly more returns.
+    /// Whether a cell of the same surface that is shown, right before or behind the one with this number in a tile, got clearly more
+    /// returns.
     pub(super) fn is_outweighed(
         &self,
         (tile, evidence): (TileIndex, &Evidence),
@@ -177,9 +189,11 @@ impl Visagge {
                 let (more, less) = (f32::from(other.hits), f32::from(cell.returns.hits));
                 // Two standard deviations of counts. A pane has few returns, and nothing stands right behind it that would be lost.
                 let is_certain = (more - less).powi(2) > 4.0 * (more + less);
+                let is_pane = || self.settings.has(Idea::Panes) && is_pane_before(&cell.returns, other);
                 judged.unthinned.is_shown()
                     && more > OUTWEIGHS * less
                     && (is_certain || judgement.unthinned != Verdict::Solid)
+                    && !is_pane()
             })
         })
     }
@@ -519,13 +533,13 @@ mod tests {
     #[test]
     fn a_wall_is_drawn_one_cell_thick() {
         // Cells one behind the other, seen from along the row.
-        let drawn = |hits: &[u16]| {
+        let drawn = |hits: &[u16], glints: &[u8]| {
             let mut grid = Visagge::new(0.05, VisaggeSettings::default());
             let number = grid.tiles.find_or_make(TileIndex { x: 0, y: 0 });
             let evidence = grid.tiles.at_mut(number).evidence.get_or_insert_default();
             let cells = hits.iter().enumerate().map(|(column, &hits)| {
                 let mut returns = Returns::new([column as u8, 5], false);
-                returns.hits = hits;
+                (returns.hits, returns.glints) = (hits, glints.get(column).copied().unwrap_or_default());
                 (returns, Track::default())
             });
             evidence.fill(cells);
@@ -533,9 +547,14 @@ mod tests {
             grid.thin_all();
             grid.cells().map(|(.., judgement)| u8::from(judgement.verdict.is_shown())).collect::<Vec<_>>()
         };
-        assert_eq!(drawn(&[3, 20, 80, 30, 2]), [0, 0, 1, 0, 0]);
-        assert_eq!(drawn(&[3, 40, 50, 2]), [0, 1, 1, 0], "along the border of both");
-        assert_eq!(drawn(&[90, 0, 0, 9]), [1, 0, 0, 1], "another surface");
+        let wall = |hits: &[u16]| drawn(hits, &[]);
+        assert_eq!(wall(&[3, 20, 80, 30, 2]), [0, 0, 1, 0, 0]);
+        assert_eq!(wall(&[3, 40, 50, 2]), [0, 1, 1, 0], "along the border of both");
+        assert_eq!(wall(&[90, 0, 0, 9]), [1, 0, 0, 1], "another surface");
+        // A pane 0.1 m before a wall, with which it merges where it glints least.
+        assert_eq!(drawn(&[6, 55, 237, 456, 9], &[2, 21, 7, 0, 0]), [0, 1, 0, 1, 0]);
+        assert_eq!(drawn(&[6, 55, 237, 9], &[3, 21, 60, 4]), [0, 0, 1, 0], "a pane by itself");
+        assert_eq!(drawn(&[55, 237, 456], &[1, 1, 0]), [0, 0, 1], "random readings");
     }
 
     #[test]
