@@ -26,6 +26,8 @@ pub enum Idea {
     LongSurfaces,
     /// What is missed may be round, too: seen about the normal of a circle in each of its cells.
     Round,
+    /// What is long and straight is shown wherever it was seen from, if it was seen often and may be no image.
+    Oblique,
     /// Nothing else may be seen right before or behind a surface.
     Clutter,
     /// Cells in narrow gaps of what is shown are shown.
@@ -71,7 +73,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 30] = [
+    pub const ALL: [Idea; 31] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Driven,
@@ -82,6 +84,7 @@ impl Idea {
         Idea::Singles,
         Idea::LongSurfaces,
         Idea::Round,
+        Idea::Oblique,
         Idea::Clutter,
         Idea::Gaps,
         Idea::Alone,

@@ -461,8 +461,8 @@ impl Evidence {
         self.votes = votes;
     }
 
-    /// Takes note of which cells are images, and which were seen through a surface in fewer scans than this. Gives whether others
-    /// were.
+    /// Takes note of which cells are images, or may be, and which were seen through a surface in fewer scans than this. Gives whether
+    /// others were.
     fn take_unthinned(&mut self, glimpses: u16) -> bool {
         let opaque = &self.opaque;
         let mut are_others = false;
@@ -473,12 +473,11 @@ impl Evidence {
                     && returns.hits < glimpses
                     && image.may_pass_by()
             };
-            let verdict = if image.is_image(opaque) {
-                Verdict::Image
-            } else if is_glimpse() {
-                Verdict::TooFew
-            } else {
-                bridged
+            let verdict = match bridged {
+                _ if image.is_image(opaque) => Verdict::Image,
+                _ if is_glimpse() => Verdict::TooFew,
+                Verdict::Oblique if image.may_be() => Verdict::NoSurface,
+                _ => bridged,
             };
             are_others |= verdict != judgement.unthinned;
             judgement.unthinned = verdict;
@@ -500,6 +499,7 @@ impl Evidence {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::grid::{cell::Returns, reflection::Block, track::Track};
 
     impl Visagge {
         /// Only the last step, for all cells.
@@ -507,5 +507,20 @@ mod tests {
             let all = Change { unthinned: true, ..Change::default() };
             self.thin(&Changes(vec![all; self.tiles.len()]));
         }
+    }
+
+    #[test]
+    fn what_was_never_met_about_its_normal_is_not_shown_where_it_may_be_an_image() {
+        let shown = |bridged: Verdict, image: Image| {
+            let mut evidence = Evidence::default();
+            evidence.fill(std::iter::once((Returns::new([5, 5], true), Track::default())));
+            (evidence.judgements[0].bridged, evidence.judgements[0].image) = (bridged, image);
+            evidence.take_unthinned(0);
+            evidence.judgements[0].unthinned.is_shown()
+        };
+        let block = Block::default();
+        let images = [Image::No, Image::NoOriginal(block), Image::Unknown(block), Image::Unexplained(block)];
+        assert_eq!(images.map(|image| shown(Verdict::Oblique, image)), [true, true, false, false]);
+        assert_eq!(images.map(|image| shown(Verdict::Surface, image)), [true; 4]);
     }
 }

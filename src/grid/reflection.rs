@@ -128,6 +128,11 @@ impl Image {
         }
     }
 
+    /// Whether it may be an image at all: it is seen through a surface, and no wall hides its original.
+    pub(super) fn may_be(self) -> bool {
+        !matches!(self, Image::No | Image::NoOriginal(_))
+    }
+
     /// Whether it may be of somebody who walks by in a mirror: beams have passed where he would be, after him or before, or something is mapped
     /// there that only a mirror would show.
     pub(super) fn may_pass_by(self) -> bool {
@@ -136,7 +141,7 @@ impl Image {
 }
 
 /// A block of cells. Packed, since each cell keeps some.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(Rust, packed)]
 pub(super) struct Block {
     /// Its place modulo 2^16 blocks, which is 52 km.

@@ -39,6 +39,8 @@ pub enum Verdict {
     Repeated = 3,
     /// Shown: few returns, or no surface by themselves, but in a gap of what is shown on both sides.
     Bridged = 4,
+    /// Shown: part of a long straight surface that was seen off its normal, but often.
+    Oblique = 5,
     /// Not shown: too few returns, or too few cells.
     TooFew = 10,
     /// Not shown: missed, and part of no surface that could explain why. Somebody passed, or something was taken away.
@@ -86,6 +88,11 @@ const GLINTING: f64 = 1.0;
 const LONG: f32 = 1.2;
 /// And straight up to this spread (m): ranges and poses alone.
 const STRAIGHT: f32 = 0.02;
+
+/// What is long and straight is a surface wherever it was seen from, if it was seen in at least so many scans: metal that is met off its
+/// normal only, which images of what is brighter outshine from elsewhere. A quarter of a second of a UTM-30LX, in which whoever walks by has
+/// moved on by his own width.
+const OFTEN: u16 = 10;
 
 /// Something is seen through a surface, or in it, that was missed over at least this range (rad): 1 degree. Less is a
 /// wall at grazing incidence.
@@ -223,8 +230,9 @@ impl Visagge {
             let surface = |same_view: u32, reach: &mut Reach| {
                 let line = patch.surface(same_view, reach)?;
                 // Where all else speaks against it already, what is on it does not matter.
-                let may_explain = explains(&Line { share: 1.0, glints: true, ..line }, cell, settings);
-                Some(if may_explain { patch.compared(line) } else { line })
+                let at_best = Line { share: 1.0, glints: true, ..line };
+                let matters = explains(&at_best, cell, settings) || is_oblique(&at_best, cell, settings);
+                Some(if matters { patch.compared(line) } else { line })
             };
             if alone == Verdict::Solid && !has_come {
                 // It needs no explanation, only a surface that something else may be seen in.
@@ -248,12 +256,10 @@ impl Visagge {
         let round = is_sought.then(|| window().round(index, cell, &mut reach)).flatten();
         let round = round.filter(|line| explains(line, cell, settings));
         let verdict = shape(cell, round.as_ref().or(line.as_ref()), has_come, settings);
-        // What is seen in something round is elsewhere.
-        let mirror = line
-            .filter(|line| {
-                verdict.is_shown() && round.is_none() && is_seen_through && !is_single && line.is_flat()
-            })
-            .map(|line| {
+        // What is seen in something round is elsewhere; and what was never met about its normal is not known well enough.
+        let may_show = verdict.is_shown() && verdict != Verdict::Oblique && round.is_none();
+        let mirror =
+            line.filter(|line| may_show && is_seen_through && !is_single && line.is_flat()).map(|line| {
                 let plane = Plane::new(&line, index.middle(self.resolution));
                 Mirror { plane, visible: cell.visible.range }
             });
@@ -295,6 +301,18 @@ fn explains(line: &Line, cell: &Cell, settings: &VisaggeSettings) -> bool {
         && (line.share >= LEAST_SHARE || !settings.has(Idea::Clutter))
         && off <= most
         && beyond <= most_beyond
+}
+
+/// Whether the cell is part of a surface along this line, which was seen from where nothing need be seen of it. What was solid and is gone
+/// is not.
+fn is_oblique(line: &Line, cell: &Cell, settings: &VisaggeSettings) -> bool {
+    settings.has(Idea::Oblique)
+        && line.length >= LONG
+        && line.rms <= STRAIGHT
+        && line.share >= LEAST_SHARE
+        && line.off_normal(cell.visible.range.middle().rad()) <= GRAZING
+        && cell.returns.hits >= OFTEN
+        && !is_solid(cell, settings)
 }
 
 /// Whether the cell is of a surface that was seen about its normal, by its glints alone. What was solid, or was seen over more than
@@ -345,7 +363,13 @@ fn shape(cell: &Cell, line: Option<&Line>, has_come: bool, settings: &VisaggeSet
         return Verdict::Repeated;
     }
     let is_explained = line.is_some_and(|line| explains(line, cell, settings)) || glints(cell, settings);
-    if is_explained || !settings.has(Idea::Surfaces) { Verdict::Surface } else { Verdict::NoSurface }
+    if is_explained || !settings.has(Idea::Surfaces) {
+        Verdict::Surface
+    } else if line.is_some_and(|line| is_oblique(line, cell, settings)) {
+        Verdict::Oblique
+    } else {
+        Verdict::NoSurface
+    }
 }
 
 #[cfg(test)]
@@ -383,6 +407,32 @@ mod tests {
         assert!(!explains(&Line { share: 0.8, ..pane }, &seen(-1.0, 1.0)), "two legs");
         assert!(!explains(&Line { length: 0.25, ..pane }, &seen(-1.0, 1.0)), "one leg");
         assert!(!explains(&Line { rms: 0.05, ..pane }, &seen(-1.0, 1.0)), "a bag");
+    }
+
+    #[test]
+    fn what_is_long_straight_and_seen_often_need_not_be_met_about_its_normal() {
+        let metal = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 1.5, share: 1.0, glints: false };
+        let judged = |line: &Line, from: f64, hits: u16, missed: f64| {
+            let returns = Returns { hits, occupancy: hits as u8, ..Returns::new([0, 0], false) };
+            let mut cell = Cell::of(&returns, &Track::default());
+            let at = |degrees: f64| Angle::from_rad(degrees.to_radians());
+            cell.visible.range = AngleRange { start: at(from), width: units(0.1) as u16 };
+            cell.missed_since = AngleRange { start: at(-60.0), width: units(0.2) as u16 };
+            cell.missed_width = units(missed) as u16;
+            shape(&cell, Some(line), false, &VisaggeSettings::default())
+        };
+        assert_eq!(judged(&metal, 40.0, 20, 0.2), Verdict::Oblique);
+        assert_eq!(judged(&metal, 40.0, 9, 0.2), Verdict::NoSurface, "for an instant");
+        assert_eq!(judged(&metal, 80.0, 20, 0.2), Verdict::NoSurface, "along it");
+        assert_eq!(judged(&metal, 40.0, 20, 0.04), Verdict::NoSurface, "taken away");
+        assert_eq!(judged(&Line { length: 1.0, ..metal }, 40.0, 20, 0.2), Verdict::NoSurface);
+        assert_eq!(
+            judged(&Line { rms: 0.03, ..metal }, 40.0, 20, 0.2),
+            Verdict::NoSurface,
+            "a row of people"
+        );
+        assert_eq!(judged(&Line { share: 0.8, ..metal }, 40.0, 20, 0.2), Verdict::NoSurface, "in clutter");
+        assert_eq!(judged(&metal, -2.0, 20, 0.2), Verdict::Surface);
     }
 
     #[test]
