@@ -15,12 +15,12 @@
 
 use super::{
     idea::Idea,
-    mirrors::{Mirror, Mirrors, near},
+    mirrors::{Mirror, Mirrors, Rows, near},
     reflection::{self, AllOpacity, BESIDE_WALLS, Image, Looked, Lookups, Opacity, ROUNDED, Sights, Spot},
     squares::{CellsAround, CellsBySquare, Extent, Reach, Squares, SquaresAround},
     surface::Window,
     tiles::{SIDE, TileIndex},
-    verdict::{Verdict, is_alone, is_in_gap, is_in_the_way},
+    verdict::{Verdict, corners, is_alone, is_in_gap, is_in_the_way},
     view::Place,
     visagge::{Evidence, Tile, Visagge, place_of},
 };
@@ -336,7 +336,7 @@ impl Visagge {
             let place = self.tiles.place(number);
             let Some(evidence) = &self.tiles.at(number).evidence else { continue };
             let shown = self.around(place, |evidence| &evidence.shown);
-            let verdicts: Vec<Verdict> = evidence
+            let mut verdicts: Vec<Verdict> = evidence
                 .judgements
                 .iter()
                 .enumerate()
@@ -355,6 +355,15 @@ impl Visagge {
                     }
                 })
                 .collect();
+            if self.settings.has(Idea::Thin) {
+                let corners = corners(&evidence.rows(|number| verdicts[number].is_shown()));
+                for (verdict, returns) in verdicts.iter_mut().zip(&evidence.cells.returns) {
+                    let [column, row] = returns.place;
+                    if corners[usize::from(row)] >> column & 1 == 1 {
+                        *verdict = Verdict::Beside;
+                    }
+                }
+            }
             let tile = self.tiles.at_mut(number);
             let evidence = tile.evidence.as_mut().expect("it was there");
             for (judgement, verdict) in evidence.judgements.iter_mut().zip(verdicts) {
@@ -486,8 +495,8 @@ impl Evidence {
     }
 
     /// A bit for each cell of whose number this holds, a word a row.
-    fn rows(&self, holds: impl Fn(usize) -> bool) -> [u64; 64] {
-        let mut rows = [0; 64];
+    fn rows(&self, holds: impl Fn(usize) -> bool) -> Rows {
+        let mut rows = [0; SIDE as usize];
         for (number, returns) in self.cells.returns.iter().enumerate() {
             let [column, row] = returns.place;
             rows[usize::from(row)] |= u64::from(holds(number)) << column;

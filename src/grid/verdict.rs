@@ -16,7 +16,7 @@ use super::{
     cell::{Cell, Returns},
     idea::Idea,
     judge::Shape,
-    mirrors::{Mirror, Plane},
+    mirrors::{Mirror, Plane, Rows},
     squares::{CellsAround, Reach},
     surface::{Line, OF_PILLAR, OF_PLANE, Window},
     tiles::{CellIndex, TileIndex},
@@ -139,6 +139,24 @@ pub(super) fn is_in_gap(cell: [u8; 2], shown: &CellsAround) -> bool {
 pub(super) fn is_alone(cell: [u8; 2], shown: &CellsAround) -> bool {
     shown.near(cell).iter().map(|cells| cells.count_ones()).sum::<u32>() <= 1
 }
+
+/// Those of a tile's cells at which a diagonal line goes round a corner that it could cut: the cells before and behind touch each other, and
+/// the line leads on from both. A line of such cells is two cells thick, both of which got as many returns. Not where the next tile's
+/// cells would have to be known.
+pub(super) fn corners(shown: &Rows) -> Rows {
+    let at = |row: usize| shown.get(row).copied().unwrap_or(u64::MAX);
+    std::array::from_fn(|row| {
+        let here = shown[row];
+        let [south2, south, north, north2] =
+            [row.wrapping_sub(2), row.wrapping_sub(1), row + 1, row + 2].map(at);
+        let leads = |to: u64, beyond: u64, away: u64| to & !(to << 1) & !beyond & !away;
+        let turns = leads(north, north2, south) | leads(south, south2, north);
+        here & here << 1 & !(here << 2) & !(here >> 1) & turns & INNER
+    })
+}
+
+/// Columns of which the two before and behind are in the same tile.
+const INNER: u64 = u64::MAX << 2 & u64::MAX >> 2;
 
 /// The step from a cell to the one behind it: across the row, column or diagonal in which most of its neighbours are `shown`. It is
 /// not the direction of view, which runs along a wall at grazing incidence; only of rows alike, it says which.
@@ -378,7 +396,7 @@ mod tests {
     use crate::grid::{
         angle::{Angle, AngleRange},
         cell::UNKNOWN,
-        tiles::TileIndex,
+        tiles::{SIDE, TileIndex},
         track::{Sector, Track},
         visagge::VisaggeSettings,
     };
@@ -605,6 +623,44 @@ mod tests {
         assert_eq!(drawn(&[6, 55, 237, 456, 9], &[2, 21, 7, 0, 0]), [0, 1, 0, 1, 0]);
         assert_eq!(drawn(&[6, 55, 237, 9], &[3, 21, 60, 4]), [0, 0, 1, 0], "a pane by itself");
         assert_eq!(drawn(&[55, 237, 456], &[1, 1, 0]), [0, 0, 1], "random readings");
+    }
+
+    #[test]
+    fn diagonal_lines_are_one_cell_thick() {
+        let cut = |drawing: [&str; 6]| {
+            let mut rows: Rows = [0; SIDE as usize];
+            for (row, line) in rows[20..].iter_mut().zip(drawing.iter().rev()) {
+                *row = line.bytes().rev().fold(0, |row, cell| row << 1 | u64::from(cell == b'#')) << 20;
+            }
+            let corners = corners(&rows);
+            let left: Vec<String> = (0..6)
+                .rev()
+                .map(|row| {
+                    (0..8)
+                        .map(|column| {
+                            if (rows[20 + row] & !corners[20 + row]) >> (20 + column) & 1 == 1 {
+                                '#'
+                            } else {
+                                '.'
+                            }
+                        })
+                        .collect()
+                })
+                .collect();
+            left
+        };
+        let rising = ["....##..", "...##...", "..##....", ".##.....", "##......", "........"];
+        assert_eq!(cut(rising), ["....##..", "...#....", "..#.....", ".#......", "#.......", "........"]);
+        let falling = ["##......", ".##.....", "..##....", "...##...", "....##..", "........"];
+        assert_eq!(cut(falling), ["#.......", ".#......", "..#.....", "...#....", "....##..", "........"]);
+        for whole in [
+            ["###.....", "..#.....", "..#.....", "..###...", "....#...", "....#..."],
+            ["###.....", "..###...", "....###.", "......##", "........", "........"],
+            ["##......", "##......", "..##....", "..##....", "........", "........"],
+            ["...#....", "...#....", "########", "...#....", "...#....", "........"],
+        ] {
+            assert_eq!(cut(whole), whole);
+        }
     }
 
     #[test]
