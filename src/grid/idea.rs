@@ -69,11 +69,13 @@ pub enum Idea {
     Thin,
     /// What glints right before a wall is a pane, and is drawn beside the wall.
     Panes,
+    /// The two faces of a thin wall are drawn both.
+    Faces,
 }
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 31] = [
+    pub const ALL: [Idea; 32] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Driven,
@@ -105,5 +107,6 @@ impl Idea {
         Idea::Dull,
         Idea::Thin,
         Idea::Panes,
+        Idea::Faces,
     ];
 }

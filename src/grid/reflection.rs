@@ -1064,7 +1064,8 @@ mod tests {
         grid.decide();
         let (place, column, row) = CellIndex::of(x, y, CELL).split();
         let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref());
-        evidence.and_then(|evidence| evidence.at(column, row)).expect("it was drawn").1.verdict
+        let evidence = evidence.expect("it was drawn");
+        evidence.judgements[evidence.number(column, row).expect("it was drawn")].verdict
     }
 
     fn drawn(rows: &[Row]) -> Visagge {

@@ -510,19 +510,19 @@ mod tests {
 
     #[test]
     fn what_is_round_is_met_squarely_all_around() {
-        let shown = |judged: Vec<Verdict>| {
-            judged.iter().filter(|verdict| verdict.is_shown()).count() as f64 / judged.len() as f64
+        let there = |judged: Vec<Verdict>| {
+            judged.iter().filter(|verdict| verdict.is_there()).count() as f64 / judged.len() as f64
         };
         let squarely = |bearing: f64| bearing;
         for radius in [0.3, 0.45, 0.6] {
-            assert!(shown(judged(radius, squarely, &[])) > 0.85, "{radius}");
+            assert!(there(judged(radius, squarely, &[])) > 0.85, "{radius}");
         }
-        assert!(shown(judged(0.45, squarely, &[Idea::Round])) < 0.2);
-        assert_eq!(shown(judged(0.12, squarely, &[])), 0.0, "a leg");
+        assert!(there(judged(0.45, squarely, &[Idea::Round])) < 0.2);
+        assert_eq!(there(judged(0.12, squarely, &[])), 0.0, "a leg");
         assert!(
-            shown(judged(0.45, |bearing| -bearing, &[])) < 0.2,
+            there(judged(0.45, |bearing| -bearing, &[])) < 0.2,
             "somebody, from a robot that turns around him"
         );
-        assert!(shown(judged(0.45, |bearing| bearing + 0.5, &[])) < 0.2, "off the normal");
+        assert!(there(judged(0.45, |bearing| bearing + 0.5, &[])) < 0.2, "off the normal");
     }
 }

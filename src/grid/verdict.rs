@@ -22,7 +22,7 @@ use super::{
     tiles::{CellIndex, TileIndex},
     visagge::{Evidence, Visagge, VisaggeSettings},
 };
-use std::f64::consts::SQRT_2;
+use std::f64::consts::{FRAC_PI_2, SQRT_2};
 
 /// Why a cell with evidence is shown, or not. The number is the value of layer `verdict` in map.npz.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -193,7 +193,7 @@ fn is_pane_before(pane: &Returns, other: &Returns) -> bool {
 
 impl Visagge {
     /// Whether a cell of the same surface that is shown, right before or behind the one with this number in a tile, got clearly more
-    /// returns.
+    /// returns. What is seen from the other side, two cells away, is the other face of a thin wall.
     pub(super) fn is_outweighed(
         &self,
         (tile, evidence): (TileIndex, &Evidence),
@@ -210,15 +210,28 @@ impl Visagge {
             } else {
                 self.tiles.get(place).and_then(|tile| tile.evidence.as_deref())
             };
-            evidence.and_then(|evidence| evidence.at(column, row)).is_some_and(|(other, judged)| {
+            let found = evidence.and_then(|evidence| Some((evidence, evidence.number(column, row)?)));
+            found.is_some_and(|(evidence, number)| {
+                let (other, judged) = (&evidence.cells.returns[number], &evidence.judgements[number]);
                 let (more, less) = (f32::from(other.hits), f32::from(cell.returns.hits));
                 // Two standard deviations of counts. A pane has few returns, and nothing stands right behind it that would be lost.
                 let is_certain = (more - less).powi(2) > 4.0 * (more + less);
                 let is_pane = || self.settings.has(Idea::Panes) && is_pane_before(&cell.returns, other);
+                let is_face = || {
+                    let off = evidence
+                        .cells
+                        .get(number)
+                        .visible
+                        .range
+                        .middle()
+                        .distance(cell.visible.range.middle());
+                    steps.abs() == 2 && off > units(FRAC_PI_2) && self.settings.has(Idea::Faces)
+                };
                 judged.unthinned.is_shown()
                     && more > OUTWEIGHS * less
                     && (is_certain || judgement.unthinned != Verdict::Solid)
                     && !is_pane()
+                    && !is_face()
             })
         })
     }
@@ -600,29 +613,35 @@ mod tests {
 
     #[test]
     fn a_wall_is_drawn_one_cell_thick() {
-        // Cells one behind the other, seen from along the row.
-        let drawn = |hits: &[u16], glints: &[u8]| {
+        // Cells one behind the other, seen from along the row: those before `other` from one side, the others from the other one.
+        let drawn = |hits: &[u16], glints: &[u8], other: usize| {
             let mut grid = Visagge::new(0.05, VisaggeSettings::default());
             let number = grid.tiles.find_or_make(TileIndex { x: 0, y: 0 });
             let evidence = grid.tiles.at_mut(number).evidence.get_or_insert_default();
             let cells = hits.iter().enumerate().map(|(column, &hits)| {
                 let mut returns = Returns::new([column as u8, 5], false);
                 (returns.hits, returns.glints) = (hits, glints.get(column).copied().unwrap_or_default());
-                (returns, Track::default())
+                let mut track = Track::default();
+                track.visible.range.start = Angle(if column < other { 0 } else { 1 << 15 });
+                (returns, track)
             });
             evidence.fill(cells);
             evidence.judgements.iter_mut().for_each(|judgement| judgement.unthinned = Verdict::Solid);
             grid.thin_all();
             grid.cells().map(|(.., judgement)| u8::from(judgement.verdict.is_shown())).collect::<Vec<_>>()
         };
-        let wall = |hits: &[u16]| drawn(hits, &[]);
+        let wall = |hits: &[u16]| drawn(hits, &[], 9);
         assert_eq!(wall(&[3, 20, 80, 30, 2]), [0, 0, 1, 0, 0]);
         assert_eq!(wall(&[3, 40, 50, 2]), [0, 1, 1, 0], "along the border of both");
         assert_eq!(wall(&[90, 0, 0, 9]), [1, 0, 0, 1], "another surface");
+        let two_faces = [12, 90, 12, 30, 4];
+        assert_eq!(drawn(&two_faces, &[], 2), [0, 1, 0, 1, 0], "of a wall of 0.1 m");
+        assert_eq!(wall(&two_faces), [0, 1, 0, 0, 0]);
         // A pane 0.1 m before a wall, with which it merges where it glints least.
-        assert_eq!(drawn(&[6, 55, 237, 456, 9], &[2, 21, 7, 0, 0]), [0, 1, 0, 1, 0]);
-        assert_eq!(drawn(&[6, 55, 237, 9], &[3, 21, 60, 4]), [0, 0, 1, 0], "a pane by itself");
-        assert_eq!(drawn(&[55, 237, 456], &[1, 1, 0]), [0, 0, 1], "random readings");
+        let pane = |hits: &[u16], glints: &[u8]| drawn(hits, glints, 9);
+        assert_eq!(pane(&[6, 55, 237, 456, 9], &[2, 21, 7, 0, 0]), [0, 1, 0, 1, 0]);
+        assert_eq!(pane(&[6, 55, 237, 9], &[3, 21, 60, 4]), [0, 0, 1, 0], "by itself");
+        assert_eq!(pane(&[55, 237, 456], &[1, 1, 0]), [0, 0, 1], "random readings");
     }
 
     #[test]

@@ -192,10 +192,9 @@ impl Evidence {
         }
     }
 
-    /// The returns of the cell in this column and row, and what was last judged of it.
-    pub(super) fn at(&self, column: usize, row: usize) -> Option<(&Returns, &Judgement)> {
-        let number = self.slots.get(place_of([column as u8, row as u8]))?;
-        Some((&self.cells.returns[number], &self.judgements[number]))
+    /// The number of the cell in this column and row.
+    pub(super) fn number(&self, column: usize, row: usize) -> Option<usize> {
+        self.slots.get(place_of([column as u8, row as u8]))
     }
 
     /// Each cell with what was last judged of it.
