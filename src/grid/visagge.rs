@@ -88,7 +88,8 @@ impl VisaggeSettings {
             // Half a cell's diagonal, the noise of the range, and that of the pose.
             along: resolution * SQRT_2 / 2.0 + 2.0 * self.range_sigma + self.position_sigma,
             across: SQRT_2 * self.position_sigma,
-            heading: self.heading_sigma,
+            // Two deviations, as of ranges: 20 m away a wall that is met askew is as far off by a heading as by all else.
+            heading: 2.0 * self.heading_sigma,
         }
     }
 
