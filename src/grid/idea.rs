@@ -67,6 +67,8 @@ pub enum Idea {
     Dull,
     /// Surfaces are drawn one cell thick.
     Thin,
+    /// Diagonal ones too: corners are cut.
+    Diagonals,
     /// What glints right before a wall is a pane, and is drawn beside the wall.
     Panes,
     /// The two faces of a thin wall are drawn both.
@@ -75,7 +77,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 32] = [
+    pub const ALL: [Idea; 33] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Driven,
@@ -106,6 +108,7 @@ impl Idea {
         Idea::Outshone,
         Idea::Dull,
         Idea::Thin,
+        Idea::Diagonals,
         Idea::Panes,
         Idea::Faces,
     ];

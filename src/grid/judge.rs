@@ -355,7 +355,7 @@ impl Visagge {
                     }
                 })
                 .collect();
-            if self.settings.has(Idea::Thin) {
+            if [Idea::Thin, Idea::Diagonals].iter().all(|idea| self.settings.has(*idea)) {
                 let corners = corners(&evidence.rows(|number| verdicts[number].is_shown()));
                 for (verdict, returns) in verdicts.iter_mut().zip(&evidence.cells.returns) {
                     let [column, row] = returns.place;

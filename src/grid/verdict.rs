@@ -4,10 +4,10 @@
 //! range of angles. The verdict tells them apart after one. What was hardly ever missed is solid. What was missed must be explained
 //! as a surface that is visible near its normal only: the neighbouring cells must form a flat patch whose normal is the direction
 //! from which they were seen, with nothing else seen from there right before or behind it (paper IV-C gives the reason, and a weaker
-//! test), or a piece of a circle that was met squarely in each of them; or they have glinted, where the scanner tells intensities.
-//! What was solid and is missed to the end has been taken away; what has come as a whole and is no larger than a person may be one
-//! who waits. What is the image of something else in a mapped surface, or is seen through a wall, is not there at all. And of what is
-//! left, a surface is drawn one cell thick.
+//! test), or a piece of a circle that was met squarely in each of them, or a long straight line that was seen often and may be no image; or
+//! they have glinted, where the scanner tells intensities. What was solid and is missed to the end has been taken away; what has come as a
+//! whole and is no larger than a person may be one who waits. What is the image of something else in a mapped surface, or is seen through a wall, is not there at all. And of what is
+//! left, a surface is drawn one cell thick, but a pane before a wall and a thin wall's other face are drawn too.
 //!
 //! [`Idea`] names these and the further ones, each of which can be left out to see what it is worth.
 
@@ -218,14 +218,10 @@ impl Visagge {
                 let is_certain = (more - less).powi(2) > 4.0 * (more + less);
                 let is_pane = || self.settings.has(Idea::Panes) && is_pane_before(&cell.returns, other);
                 let is_face = || {
-                    let off = evidence
-                        .cells
-                        .get(number)
-                        .visible
-                        .range
-                        .middle()
-                        .distance(cell.visible.range.middle());
-                    steps.abs() == 2 && off > units(FRAC_PI_2) && self.settings.has(Idea::Faces)
+                    let seen_from = evidence.cells.get(number).visible.range.middle();
+                    steps.abs() == 2
+                        && seen_from.distance(cell.visible.range.middle()) > units(FRAC_PI_2)
+                        && self.settings.has(Idea::Faces)
                 };
                 judged.unthinned.is_shown()
                     && more > OUTWEIGHS * less
