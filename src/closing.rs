@@ -37,7 +37,7 @@ const NEXT_SEARCH: [f64; 2] = [10.0, 0.1];
 const STAND: usize = 80;
 /// Who has moved by less stands (m, rad): a robot at 10 cm/s keeps all of its scans.
 const STILL: [f64; 2] = [0.03, 0.02];
-/// No more is kept (bytes): 60,000 scans with what the searches made of them, 25 minutes of driving or 1.5 km. A robot has this much
+/// No more is kept (bytes): 50,000 to 60,000 scans with what the searches made of them, 20 to 25 minutes of driving. A robot has this much
 /// memory to spare, and what a search takes grows faster than the way.
 const MOST: usize = 320 << 20;
 

@@ -121,11 +121,14 @@ struct Intensities {
 
 impl Intensities {
     fn new(intensities: &[f32]) -> Intensities {
-        let log = |intensity: f32| Some(intensity.log2()).filter(|log| log.is_finite());
-        let logs = || intensities.iter().filter_map(|&intensity| log(intensity));
-        let (least, most) = (logs().fold(f32::INFINITY, f32::min), logs().fold(f32::NEG_INFINITY, f32::max));
+        let is_told = |intensity: f32| intensity > 0.0 && intensity.is_finite();
+        let told = || intensities.iter().copied().filter(|&intensity| is_told(intensity));
+        let least = told().fold(f32::INFINITY, f32::min).log2();
+        let most = told().fold(0.0, f32::max).log2();
         let step = ((most - least) / f32::from(u8::MAX - 1)).max(f32::MIN_POSITIVE);
-        let steps = |&intensity| log(intensity).map_or(0, |log| 1 + ((log - least) / step).round() as u8);
+        let steps = |&intensity: &f32| {
+            if is_told(intensity) { 1 + ((intensity.log2() - least) / step).round() as u8 } else { 0 }
+        };
         Intensities { least, step, steps: intensities.iter().map(steps).collect() }
     }
 
