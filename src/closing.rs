@@ -344,7 +344,7 @@ pub(crate) mod tests {
     use crate::{
         localize::tests::{ring, scan},
         map::{Map, Values},
-        mapper::{Mapper, Outcome, PoseUse},
+        mapper::{Mapper, MapperKind, Outcome, PoseUse},
         pose::{StampedPose, pose},
     };
     use std::f64::consts::FRAC_PI_2;
@@ -531,6 +531,10 @@ pub(crate) mod tests {
         assert!(closes(settings(true)));
         assert!(!closes(settings(false)));
         assert!(!closes(MapperSettings { poses: PoseUse::Map, ..settings(true) }));
+        assert!(
+            closes(MapperSettings { mapper: MapperKind::Glints, ..settings(true) }),
+            "intensities are kept"
+        );
         let saved = Driven::new(settings(true), 10, 0).mapper.save().unwrap();
         assert!(!Mapper::going_on(&saved, settings(true)).unwrap().closes_loops());
     }

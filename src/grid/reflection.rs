@@ -1167,7 +1167,7 @@ mod tests {
         grid.decide();
         let (place, column, row) = CellIndex::of(x, y, CELL).split();
         let evidence = grid.tiles.get(place).and_then(|tile| tile.evidence.as_ref()).expect("it was drawn");
-        let number = evidence.slots.get(place_of([column as u8, row as u8])).expect("it was drawn");
+        let number = evidence.number(column, row).expect("it was drawn");
         let mut cell = evidence.cells.get(number);
         change(&mut cell);
         let (mut sights, mut lookups) =

@@ -47,7 +47,7 @@ pub enum Verdict {
     NoSurface = 11,
     /// Not shown: the image, in a mapped surface, of something else or of the robot.
     Image = 12,
-    /// Not shown: right before or behind a cell of the same surface that got clearly more returns.
+    /// Not shown: right before or behind a cell of the same surface that got clearly more returns, or in the corner of a diagonal line.
     Beside = 13,
 }
 
@@ -124,6 +124,9 @@ const SHINES: f32 = 0.125;
 /// apart what is within some 12 cm.
 const OUTSHINES: f32 = 4.0;
 
+/// Columns of a tile of which the two before and behind are in it as well.
+const INNER: u64 = u64::MAX << 2 & u64::MAX >> 2;
+
 /// Whether two neighbouring cells that are `shown` by themselves lie near on both sides, along a row, a column or a diagonal.
 pub(super) fn is_in_gap(cell: [u8; 2], shown: &CellsAround) -> bool {
     [(1, 0), (0, 1), (1, 1), (1, -1)].into_iter().any(|(x, y)| {
@@ -154,9 +157,6 @@ pub(super) fn corners(shown: &Rows) -> Rows {
         here & here << 1 & !(here << 2) & !(here >> 1) & turns & INNER
     })
 }
-
-/// Columns of which the two before and behind are in the same tile.
-const INNER: u64 = u64::MAX << 2 & u64::MAX >> 2;
 
 /// The step from a cell to the one behind it: across the row, column or diagonal in which most of its neighbours are `shown`. It is
 /// not the direction of view, which runs along a wall at grazing incidence; only of rows alike, it says which.
@@ -218,10 +218,11 @@ impl Visagge {
                 let is_certain = (more - less).powi(2) > 4.0 * (more + less);
                 let is_pane = || self.settings.has(Idea::Panes) && is_pane_before(&cell.returns, other);
                 let is_face = || {
-                    let seen_from = evidence.cells.get(number).visible.range.middle();
+                    let off =
+                        |other: Cell| other.visible.range.middle().distance(cell.visible.range.middle());
                     steps.abs() == 2
-                        && seen_from.distance(cell.visible.range.middle()) > units(FRAC_PI_2)
                         && self.settings.has(Idea::Faces)
+                        && off(evidence.cells.get(number)) > units(FRAC_PI_2)
                 };
                 judged.unthinned.is_shown()
                     && more > OUTWEIGHS * less
@@ -648,21 +649,11 @@ mod tests {
                 *row = line.bytes().rev().fold(0, |row, cell| row << 1 | u64::from(cell == b'#')) << 20;
             }
             let corners = corners(&rows);
-            let left: Vec<String> = (0..6)
-                .rev()
-                .map(|row| {
-                    (0..8)
-                        .map(|column| {
-                            if (rows[20 + row] & !corners[20 + row]) >> (20 + column) & 1 == 1 {
-                                '#'
-                            } else {
-                                '.'
-                            }
-                        })
-                        .collect()
-                })
-                .collect();
-            left
+            let drawn = |(row, corners): (&u64, &u64)| -> String {
+                let left = (row & !corners) >> 20;
+                (0..8).map(|column| if left >> column & 1 == 1 { '#' } else { '.' }).collect()
+            };
+            rows.iter().zip(&corners).skip(20).take(6).rev().map(drawn).collect::<Vec<_>>()
         };
         let rising = ["....##..", "...##...", "..##....", ".##.....", "##......", "........"];
         assert_eq!(cut(rising), ["....##..", "...#....", "..#.....", ".#......", "#.......", "........"]);
