@@ -30,6 +30,8 @@ pub struct Rule {
     pub outshone: bool,
     /// Whether a second range, apart from the first, is kept.
     pub two_ranges: bool,
+    /// Whether what one range tells of may have gone while what the other tells of has not.
+    pub apart: bool,
 }
 
 impl Rule {

@@ -28,6 +28,8 @@ pub enum Idea {
     Round,
     /// What is long and straight is shown wherever it was seen from, if it was seen often and may be no image.
     Oblique,
+    /// Of a patch that is uneven, what lies right before or behind is left out of the surface.
+    Trimmed,
     /// Nothing else may be seen right before or behind a surface.
     Clutter,
     /// Cells in narrow gaps of what is shown are shown.
@@ -44,6 +46,8 @@ pub enum Idea {
     Bright,
     /// Where nearly all that is seen through a surface is explained, it is opaque, and reflects all.
     Opacity,
+    /// What is seen far behind a surface and is not explained does not tell that it is seen through.
+    Far,
     /// A wall that runs straight at a surface does not tell whether that is opaque: its image would lie on itself.
     Symmetry,
     /// An image must be explained from its second range of view angles too.
@@ -63,6 +67,8 @@ pub enum Idea {
     Glints,
     /// What glints is not contradicted from farther away than it was seen from, but where it would glint.
     Outshone,
+    /// Of two things that were seen in a cell from different angles, only the one that has gone is forgotten.
+    Apart,
     /// What has not glinted though it could is a surface only where it is broader than anybody, or has stayed for longer than people do.
     Dull,
     /// Surfaces are drawn one cell thick.
@@ -77,7 +83,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 33] = [
+    pub const ALL: [Idea; 36] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Driven,
@@ -89,6 +95,7 @@ impl Idea {
         Idea::LongSurfaces,
         Idea::Round,
         Idea::Oblique,
+        Idea::Trimmed,
         Idea::Clutter,
         Idea::Gaps,
         Idea::Alone,
@@ -97,6 +104,7 @@ impl Idea {
         Idea::Fresnel,
         Idea::Bright,
         Idea::Opacity,
+        Idea::Far,
         Idea::Symmetry,
         Idea::SecondRange,
         Idea::Originals,
@@ -106,6 +114,7 @@ impl Idea {
         Idea::Walls,
         Idea::Glints,
         Idea::Outshone,
+        Idea::Apart,
         Idea::Dull,
         Idea::Thin,
         Idea::Diagonals,

@@ -42,6 +42,9 @@ const PLACE: f64 = 0.1;
 const DIRECTION: f64 = 0.02;
 /// Widest search around the mirrored point (m).
 const WIDEST: f64 = 0.3;
+/// What is seen farther behind a surface than this (m), and is not explained, may be an image all the same: 0.3 m beside where it was sought
+/// is 0.7 degrees of the surface's direction, which is not known better.
+const TELLS: f64 = 8.0;
 /// An original that is seen from some directions only is seen up to this far off those from which it was (rad): 6 degrees, by which
 /// an image is off at 3 m from where it is sought.
 const OFF_VIEW: f64 = 0.1;
@@ -93,8 +96,8 @@ pub(super) enum Image {
     PassedBy(Block),
     /// Seen through a surface, and a wall hides from that where its original would stand: so it has none.
     NoOriginal(Block),
-    /// Seen through a surface, and no beam has come to where its original would stand, or it runs straight at the surface, or is too bright for
-    /// what would be glass.
+    /// Seen through a surface, and no beam has come to where its original would stand, or that is not known well enough, or it runs straight at
+    /// the surface, or is too bright for what would be glass.
     Unknown(Block),
     /// Explained, but glass would not reflect that much: only an opaque surface there.
     IfOpaque(Block),
@@ -627,6 +630,7 @@ fn explained<'a>(
                 && !(sight.may_explain && is_hidden(sought));
         let needed = (range / SEES).max(if sight.has_glinted { OF_GLINTS } else { 0.0 });
         let reflects = LazyCell::new(|| glass_reflects(mirror.plane.off_normal(view[1].atan2(view[0]))));
+        let tells = || range - distance <= TELLS || !grid.settings.has(Idea::Far);
         let by_glass = || needed <= *reflects || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
             (true, _) if by_glass() => {
@@ -637,7 +641,7 @@ fn explained<'a>(
             }
             (true, _) if grid.runs_along(point, mirror.plane.normal(), sought) => Image::Unknown(block),
             (true, _) => Image::IfOpaque(block),
-            (false, Image::No) if sight.decides && grid.is_crossed(mirrored, sought) => {
+            (false, Image::No) if sight.decides && tells() && grid.is_crossed(mirrored, sought) => {
                 Image::Unexplained(block)
             }
             (false, Image::No) if sight.decides && is_hidden(sought) => Image::NoOriginal(block),

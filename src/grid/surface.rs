@@ -3,6 +3,7 @@
 use super::{
     angle::{Angle, units},
     cell::Cell,
+    idea::Idea,
     squares::Reach,
     tiles::{CellIndex, SIDE, TileIndex, whole},
     verdict::is_solid,
@@ -11,7 +12,7 @@ use super::{
 use nalgebra::Vector2;
 use std::{
     f64::consts::{FRAC_PI_2, FRAC_PI_3, PI},
-    ops::Range,
+    ops::{Range, RangeInclusive},
     sync::LazyLock,
 };
 
@@ -50,6 +51,10 @@ const ON_LINE: f64 = 0.06;
 const CLUTTER: f64 = 0.3;
 /// Most that a flat surface spreads across its line, root mean square (m): cells, ranges and poses.
 const FLAT: f32 = 0.035;
+/// A patch that spreads by this (m, root mean square) has something else right before or behind its surface: more than ranges and poses do,
+/// and less than what is no surface at all. Without that, it is as long as this at least (m): broader than anybody.
+const UNEVEN: RangeInclusive<f32> = 0.02..=0.05;
+const LEAST_TRIMMED: f32 = 0.5;
 /// What lies this near is part of the same thing (m): the legs of who stands.
 const AROUND: f64 = 0.25;
 /// Share of what is around a cell that has come, if it came with it.
@@ -78,6 +83,13 @@ impl Line {
     /// Whether the patch is as flat as noise allows.
     pub fn is_flat(&self) -> bool {
         self.rms <= FLAT
+    }
+
+    /// How far points are from it (m).
+    fn distance(&self) -> impl Fn([f64; 2]) -> f64 + use<> {
+        let (sin, cos) = f64::from(self.normal).sin_cos();
+        let [x, y] = self.at.map(f64::from);
+        move |at| ((at[0] - x) * cos + (at[1] - y) * sin).abs()
     }
 
     /// Angle between the normal and a view (rad, 0..pi/2).
@@ -153,6 +165,8 @@ const NONE: u16 = u16::MAX;
 pub struct Window {
     origin: CellIndex,
     resolution: f64,
+    /// Whether [`Idea::Trimmed`] is made use of.
+    trims: bool,
     /// A bit for each cell with evidence, a word a row.
     rows: [u128; WINDOW as usize],
     /// Which number each of these has; [`NONE`] for all others.
@@ -168,6 +182,7 @@ impl Window {
         let mut window = Window {
             origin: CellIndex { x: corner.x - MARGIN, y: corner.y - MARGIN },
             resolution: grid.resolution,
+            trims: grid.settings.has(Idea::Trimmed),
             rows: [0; WINDOW as usize],
             slots: vec![NONE; (WINDOW * WINDOW) as usize],
             cells: Vec::new(),
@@ -418,26 +433,36 @@ impl Patch<'_> {
     /// than [`OF_PILLAR`]): the patch of 0.8 m, or more of it along the line as far as it stays flat. How it [compares](Patch::compared) with all else is not told
     /// yet. `reach` takes in all cells that this depends on.
     pub fn surface(&self, same_view: u32, reach: &mut Reach) -> Option<Line> {
-        let [cos, sin] = self.view;
-        let mut moments = Moments::default();
-        for (cell, weight) in self.cells(same_view) {
-            let to = [cell.at[0] - self.origin[0], cell.at[1] - self.origin[1]];
-            let (depth, across) = (to[0] * cos + to[1] * sin, to[1] * cos - to[0] * sin);
-            moments.add(to, weight * one_if(depth.abs() <= PATCH_DEPTH && across.abs() <= PATCH_HALF));
-        }
-        let patch = moments.line(self.origin)?;
+        let patch = self.line(same_view, |_| true)?;
+        let distance = patch.distance();
+        let trimmed = || self.line(same_view, |at| distance(at) <= ON_LINE);
+        let is_uneven = self.window.trims && UNEVEN.contains(&patch.rms);
+        let trimmed = is_uneven.then(trimmed).flatten().filter(|line| line.length >= LEAST_TRIMMED);
+        let patch = trimmed.unwrap_or(patch);
         let long = self.window.lengthened(&patch, self.origin, self.seen_from, same_view, reach);
         let long = long.filter(|long| long.is_flat() && long.length > patch.length);
         Some(long.unwrap_or(patch))
     }
 
+    /// The line through those of the patch of which this holds.
+    fn line(&self, same_view: u32, holds: impl Fn([f64; 2]) -> bool) -> Option<Line> {
+        let [cos, sin] = self.view;
+        let mut moments = Moments::default();
+        for (cell, weight) in self.cells(same_view) {
+            let to = [cell.at[0] - self.origin[0], cell.at[1] - self.origin[1]];
+            let (depth, across) = (to[0] * cos + to[1] * sin, to[1] * cos - to[0] * sin);
+            let is_in = depth.abs() <= PATCH_DEPTH && across.abs() <= PATCH_HALF;
+            moments.add(to, weight * one_if(is_in && holds(cell.at)));
+        }
+        moments.line(self.origin)
+    }
+
     /// The same line with [`Line::share`] and [`Line::glints`].
     pub fn compared(&self, line: Line) -> Line {
-        let (sin, cos) = f64::from(line.normal).sin_cos();
-        let [x, y] = line.at.map(f64::from);
+        let distance = line.distance();
         let (mut on, mut off, mut glints) = (0.0, 0.0, false);
         for (cell, weight) in self.cells(units(SAME_VIEW)) {
-            let distance = ((cell.at[0] - x) * cos + (cell.at[1] - y) * sin).abs();
+            let distance = distance(cell.at);
             let is_on = distance <= ON_LINE;
             on += weight * one_if(is_on);
             glints |= is_on && weight > 0.0 && cell.glints;

@@ -8,7 +8,7 @@
 use super::{
     angle::{Angle, AngleRange, whole},
     cell::{Rule, Visible},
-    view::{HIT, Observation, Place},
+    view::{CROSSED, HIT, Observation, Place},
 };
 
 /// Units of distance in a metre. 15 bits then hold 64 m, and 2 mm are less than any error.
@@ -205,10 +205,13 @@ impl Track {
             missed.meets(range, rule.half_beam)
                 && missed.depth(range, rule.half_beam) > rule.explained(look.way - way, look.range)
         };
-        let of = [(&self.visible, self.way), (&self.visible_too, self.way_too)];
+        let of = [(self.visible, self.way), (self.visible_too, self.way_too)];
         let contradicted = of.map(|(visible, way)| visible.exists() && is_deep_in(visible.range, way));
         if contradicted != [false; 2] {
-            let is_surely = |(contradicted, (visible, way)): (bool, (&Sector, f32))| {
+            if self.forgets(contradicted, rule) {
+                return Event::None;
+            }
+            let is_surely = |(contradicted, (visible, way)): (bool, (Sector, f32))| {
                 let at_middle = || is_deep_in(AngleRange::at(visible.range.middle()), way);
                 contradicted && (would_return(visible.ends, look.range) || at_middle())
             };
@@ -221,6 +224,20 @@ impl Track {
             self.missed_since = AngleRange { start: missed.start, width };
         }
         Event::None
+    }
+
+    /// Forgets the one of two ranges that is contradicted, where the other is not, and they may tell of two things: a pane seen at its normal and, in
+    /// the same cell, an image or its dust seen from elsewhere. What stood before a beam had ever crossed the cell is one thing. Gives whether it did.
+    fn forgets(&mut self, contradicted: [bool; 2], rule: &Rule) -> bool {
+        let may_be_two = rule.apart && self.place & CROSSED != 0 && self.visible_too.exists();
+        if !may_be_two || contradicted == [true; 2] {
+            return false;
+        }
+        if contradicted[0] {
+            (self.visible, self.way) = (self.visible_too, self.way_too);
+        }
+        self.visible_too = Sector::default();
+        true
     }
 
     /// `visible` and `visible_too`, in metres.
@@ -349,6 +366,7 @@ mod tests {
         silent_scans: 20,
         outshone: true,
         two_ranges: true,
+        apart: true,
     };
 
     struct Drive {
@@ -506,5 +524,27 @@ mod tests {
         assert_eq!(u32::from(drive.track.visible.range.width), units(4f64.to_radians()));
         assert_eq!(u32::from(drive.track.visible_too.range.width), units(3f64.to_radians()));
         assert!(drive.pass(150, 200, 0..=0) >= 2, "gone from the second side as well");
+    }
+
+    #[test]
+    fn of_two_things_in_a_cell_the_one_that_has_gone_is_forgotten() {
+        let seen = |mark: Place| {
+            let mut drive = Drive::new(0.0);
+            drive.track.place |= mark;
+            drive.pass(0, 4, 0..=4);
+            drive.pass(60, 63, 60..=63);
+            drive
+        };
+        let mut pane = seen(CROSSED);
+        let [first, second] = [pane.track.visible, pane.track.visible_too];
+        assert_eq!(pane.pass(50, 80, 0..=0), 0);
+        assert_eq!([pane.track.visible, pane.track.visible_too], [first, Sector::default()], "the narrower");
+        assert!(pane.pass(-10, 10, 99..=99) >= 2, "then the other");
+        let mut pane = seen(CROSSED);
+        assert_eq!(pane.pass(-10, 10, 99..=99), 0);
+        assert_eq!([pane.track.visible, pane.track.visible_too], [second, Sector::default()], "the wider");
+        assert!(seen(0).pass(50, 80, 0..=0) >= 2, "a door is one thing");
+        let both = seen(CROSSED).pass(-10, 80, 99..=99);
+        assert!(both >= 2, "missed over both");
     }
 }

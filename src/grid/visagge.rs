@@ -25,7 +25,7 @@ use super::{
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
     track::{LANES, Look, Track, distance_units},
-    view::{Lens, Place, Tolerance, View},
+    view::{CROSSED, Lens, Place, Tolerance, View},
 };
 use serde::{Deserialize, Serialize};
 use std::{f64::consts::SQRT_2, sync::Weak};
@@ -111,6 +111,7 @@ impl VisaggeSettings {
             silent_scans: 20,
             outshone: self.has(Idea::Outshone),
             two_ranges: self.two_ranges,
+            apart: self.has(Idea::Apart),
         }
     }
 }
@@ -173,7 +174,8 @@ impl Evidence {
     fn add(&mut self, returns: Returns, track: Track) -> usize {
         let number = self.cells.len();
         self.slots.set(place_of(returns.place), number);
-        self.cells.push(returns, track);
+        let mark = if returns.was_crossed { CROSSED } else { 0 };
+        self.cells.push(returns, Track { place: track.place | mark, ..track });
         cells::push(&mut self.judgements, Judgement::default());
         number
     }
