@@ -1287,6 +1287,21 @@ mod tests {
     }
 
     #[test]
+    fn what_is_far_behind_a_surface_does_not_tell_that_it_is_seen_through() {
+        let seen = |behind: f64, without: &[Idea]| {
+            let [pane, _, image] = pane();
+            let y = pane.y + behind;
+            let mut grid = drawn_without(without, &[pane.clone(), Row { y, range: y as f32, ..image }]);
+            // Where the original would stand beams have passed.
+            pass(&mut grid, [1.01, pane.y - behind]);
+            found_in(&mut grid, [1.01, y], |cell| cell.returns.hit_time = [5.0, 7.0])
+        };
+        assert!(matches!(seen(TELLS - 0.2, &[]), Image::Unexplained(_)));
+        assert!(matches!(seen(TELLS + 0.2, &[]), Image::Unknown(_)));
+        assert!(matches!(seen(TELLS + 0.2, &[Idea::Far]), Image::Unexplained(_)));
+    }
+
+    #[test]
     fn nothing_is_seen_through_a_wall() {
         let wall = |bearings, is_missed| Row { x: [0.0, 2.0], y: 1.01, bearings, range: 1.0, is_missed };
         let behind =

@@ -550,4 +550,34 @@ mod tests {
         );
         assert!(there(judged(0.45, |bearing| bearing + 0.5, &[])) < 0.2, "off the normal");
     }
+
+    /// The line through a row of cells along y and, as far to the right of every third one, others; all seen from the left.
+    fn through_row_and(beside: i32, without: &[Idea]) -> Line {
+        let settings = VisaggeSettings { without: without.to_vec(), ..VisaggeSettings::default() };
+        let mut grid = Visagge::new(CELL, settings);
+        let row = (20..34).map(|y| [30, y]);
+        let others = (20..34).step_by(3).map(|y| [30 + beside, y]);
+        let cells = row.chain(others).map(|[x, y]| {
+            let mut returns = Returns::new([x as u8, y as u8], true);
+            returns.occupancy = 10;
+            let visible = Sector { range: AngleRange::at(Angle::from_rad(PI)), ends: [1024; 2] };
+            (returns, Track { visible, ..Track::default() })
+        });
+        let place = TileIndex { x: 0, y: 0 };
+        let tile = grid.tiles.find_or_make(place);
+        grid.tiles.at_mut(tile).evidence.get_or_insert_default().fill(cells);
+        let window = Window::around(&grid, place);
+        let cell = grid.tiles.at(tile).evidence.as_ref().expect("it was filled").cells.get(7);
+        let mut reach = Reach::at(cell.returns.place);
+        let patch = window.patch(cell.index(place), &cell, &mut reach);
+        patch.surface(units(OF_PLANE), &mut reach).expect("there are cells")
+    }
+
+    #[test]
+    fn what_is_right_behind_a_surface_is_left_out_of_it() {
+        let trimmed = through_row_and(2, &[]);
+        assert!(trimmed.rms < 0.001 && (trimmed.at[0] - 1.5).abs() < 0.03, "{trimmed:?}");
+        let untrimmed = through_row_and(2, &[Idea::Trimmed]);
+        assert!(untrimmed.rms > 0.035, "{untrimmed:?}");
+    }
 }
