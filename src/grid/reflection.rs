@@ -42,8 +42,8 @@ const PLACE: f64 = 0.1;
 const DIRECTION: f64 = 0.02;
 /// Widest search around the mirrored point (m).
 const WIDEST: f64 = 0.3;
-/// What is seen farther behind a surface than this (m), and is not explained, may be an image all the same: 0.3 m beside where it was sought
-/// is 0.7 degrees of the surface's direction, which is not known better.
+/// What is seen farther behind a surface than this (m), and is not explained, may be an image all the same: its original is sought up to
+/// [0.3 m](WIDEST) away, which at 8 m is 0.7 degrees of the surface's direction beside 0.1 m of place, and that is not [known](DIRECTION) better.
 const TELLS: f64 = 8.0;
 /// An original that is seen from some directions only is seen up to this far off those from which it was (rad): 6 degrees, by which
 /// an image is off at 3 m from where it is sought.

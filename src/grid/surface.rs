@@ -430,14 +430,16 @@ impl Patch<'_> {
     }
 
     /// The surface through the cell, from those that were seen from the same direction, give or take `same_view` (units of [`Angle`], no more
-    /// than [`OF_PILLAR`]): the patch of 0.8 m, or more of it along the line as far as it stays flat. How it [compares](Patch::compared) with all else is not told
+    /// than [`OF_PILLAR`]): the patch of 0.8 m, without what lies beside its line where it is uneven, or more of it along the line as far as it stays flat. How it [compares](Patch::compared) with all else is not told
     /// yet. `reach` takes in all cells that this depends on.
     pub fn surface(&self, same_view: u32, reach: &mut Reach) -> Option<Line> {
         let patch = self.line(same_view, |_| true)?;
-        let distance = patch.distance();
-        let trimmed = || self.line(same_view, |at| distance(at) <= ON_LINE);
         let is_uneven = self.window.trims && UNEVEN.contains(&patch.rms);
-        let trimmed = is_uneven.then(trimmed).flatten().filter(|line| line.length >= LEAST_TRIMMED);
+        let trim = || {
+            let distance = patch.distance();
+            self.line(same_view, |at| distance(at) <= ON_LINE)
+        };
+        let trimmed = is_uneven.then(trim).flatten().filter(|line| line.length >= LEAST_TRIMMED);
         let patch = trimmed.unwrap_or(patch);
         let long = self.window.lengthened(&patch, self.origin, self.seen_from, same_view, reach);
         let long = long.filter(|long| long.is_flat() && long.length > patch.length);
