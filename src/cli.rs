@@ -125,7 +125,8 @@ pub struct ReplayArgs {
     #[arg(long, conflicts_with_all = ["map", "fresh"])]
     pub optimize: bool,
     /// Write explain.png too: why each cell is shown (black solid, blue a surface visible near its normal, green seen
-    /// again, light blue in a gap) or not (sand too few returns, red somebody who moved, violet an image in a mirror or pane).
+    /// again, light blue in a gap, violet long, straight and seen often, dark green seen for long) or not (sand too few
+    /// returns, red somebody who moved, pink an image in a mirror or pane).
     #[arg(long)]
     pub explain: bool,
     /// Topic of the scans in a bag.

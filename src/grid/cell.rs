@@ -104,6 +104,9 @@ const HITS_A_GLINT: u16 = 64;
 pub const BRIGHTNESS: f32 = 256.0;
 /// Scans whose returns tell how bright a cell is: single ones have a noise of 13 %.
 const ENOUGH_TO_TELL: u16 = 64;
+/// What has not glinted is a pane's dust if it is no brighter than this ([`BRIGHTNESS`]): a quarter of the brightest that is diffuse. Within a
+/// degree of its normal a pane 1 m away is as bright as a wall at 2 m (paper III-B, Fig. 9).
+const AS_DUST: i16 = -2 * BRIGHTNESS as i16;
 /// No brightness that a return has.
 pub const UNKNOWN: i16 = i16::MIN;
 
@@ -154,6 +157,13 @@ impl Returns {
     /// Whether it has glinted so often, for the scans that it was seen in, that this is not by chance; as far as glints are counted.
     pub fn glints_often(&self) -> bool {
         u16::from(self.glints) >= (self.hits / HITS_A_GLINT).clamp(1, u8::MAX.into())
+    }
+
+    /// Whether there may be two things in the cell: a pane and, seen from elsewhere, an image. What stood before a beam had ever crossed the cell
+    /// is one thing, and so is what could have glinted, has not, and is too bright for dust.
+    pub fn may_be_two(&self) -> bool {
+        // What is not known is less than anything.
+        self.was_crossed && (self.has_glinted() || self.brightness <= AS_DUST)
     }
 
     /// Core step 1: a return, which may be a glint, at this place in the cell (cells, 0..1).

@@ -16,6 +16,10 @@ pub enum Idea {
     Visitors,
     /// What was solid and was missed to the end has been taken away.
     TakenAway,
+    /// So has what was seen over more than glass is, and too bright for dust, though it is flat; needs intensities.
+    Diffuse,
+    /// What was seen often, for long and from many directions is there, though it was missed in between.
+    Lasting,
     /// Of what was missed, only flat surfaces that are seen about their normal are shown; without, all of it.
     Surfaces,
     /// A surface is sought among what was seen from the very same direction first.
@@ -83,12 +87,14 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 36] = [
+    pub const ALL: [Idea; 38] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Driven,
         Idea::Visitors,
         Idea::TakenAway,
+        Idea::Diffuse,
+        Idea::Lasting,
         Idea::Surfaces,
         Idea::PlanesFirst,
         Idea::Singles,

@@ -485,7 +485,7 @@ impl Evidence {
             let verdict = match bridged {
                 _ if image.is_image(opaque) => Verdict::Image,
                 _ if is_glimpse() => Verdict::TooFew,
-                Verdict::Oblique if image.may_be() => Verdict::NoSurface,
+                Verdict::Oblique | Verdict::Lasting if image.may_be() => Verdict::NoSurface,
                 _ => bridged,
             };
             are_others |= verdict != judgement.unthinned;
@@ -519,7 +519,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_never_met_about_its_normal_is_not_shown_where_it_may_be_an_image() {
+    fn what_no_surface_explains_is_not_shown_where_it_may_be_an_image() {
         let shown = |bridged: Verdict, image: Image| {
             let mut evidence = Evidence::default();
             evidence.fill(std::iter::once((Returns::new([5, 5], true), Track::default())));
@@ -530,6 +530,7 @@ mod tests {
         let block = Block::default();
         let images = [Image::No, Image::NoOriginal(block), Image::Unknown(block), Image::Unexplained(block)];
         assert_eq!(images.map(|image| shown(Verdict::Oblique, image)), [true, true, false, false]);
+        assert_eq!(images.map(|image| shown(Verdict::Lasting, image)), [true, true, false, false]);
         assert_eq!(images.map(|image| shown(Verdict::Surface, image)), [true; 4]);
     }
 }

@@ -53,7 +53,7 @@ const CLUTTER: f64 = 0.3;
 const FLAT: f32 = 0.035;
 /// A patch that spreads by this (m, root mean square) has something else right before or behind its surface: more than ranges and poses do,
 /// and less than what is no surface at all. Without that, it is as long as this at least (m): broader than anybody.
-const UNEVEN: RangeInclusive<f32> = 0.02..=0.05;
+const UNEVEN: RangeInclusive<f32> = 0.03..=0.05;
 const LEAST_TRIMMED: f32 = 0.5;
 /// What lies this near is part of the same thing (m): the legs of who stands.
 const AROUND: f64 = 0.25;

@@ -8,7 +8,7 @@
 use super::{
     angle::{Angle, AngleRange, whole},
     cell::{Rule, Visible},
-    view::{CROSSED, HIT, Observation, Place},
+    view::{HIT, Observation, Place, TWO},
 };
 
 /// Units of distance in a metre. 15 bits then hold 64 m, and 2 mm are less than any error.
@@ -227,9 +227,9 @@ impl Track {
     }
 
     /// Forgets the one of two ranges that is contradicted, where the other is not, and they may tell of two things: a pane seen at its normal and, in
-    /// the same cell, an image or its dust seen from elsewhere. What stood before a beam had ever crossed the cell is one thing. Gives whether it did.
+    /// the same cell, an image or its dust seen from elsewhere. Gives whether it did.
     fn forgets(&mut self, contradicted: [bool; 2], rule: &Rule) -> bool {
-        let may_be_two = rule.apart && self.place & CROSSED != 0 && self.visible_too.exists();
+        let may_be_two = rule.apart && self.place & TWO != 0 && self.visible_too.exists();
         if !may_be_two || contradicted == [true; 2] {
             return false;
         }
@@ -535,16 +535,16 @@ mod tests {
             drive.pass(60, 63, 60..=63);
             drive
         };
-        let mut pane = seen(CROSSED);
+        let mut pane = seen(TWO);
         let [first, second] = [pane.track.visible, pane.track.visible_too];
         assert_eq!(pane.pass(50, 80, 0..=0), 0);
         assert_eq!([pane.track.visible, pane.track.visible_too], [first, Sector::default()], "the narrower");
         assert!(pane.pass(-10, 10, 99..=99) >= 2, "then the other");
-        let mut pane = seen(CROSSED);
+        let mut pane = seen(TWO);
         assert_eq!(pane.pass(-10, 10, 99..=99), 0);
         assert_eq!([pane.track.visible, pane.track.visible_too], [second, Sector::default()], "the wider");
-        assert!(seen(0).pass(50, 80, 0..=0) >= 2, "a door is one thing");
-        let both = seen(CROSSED).pass(-10, 80, 99..=99);
+        assert!(seen(0).pass(50, 80, 0..=0) >= 2, "one thing");
+        let both = seen(TWO).pass(-10, 80, 99..=99);
         assert!(both >= 2, "missed over both");
     }
 }

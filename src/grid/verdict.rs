@@ -41,6 +41,8 @@ pub enum Verdict {
     Bridged = 4,
     /// Shown: part of a long straight surface that was seen off its normal, but often.
     Oblique = 5,
+    /// Shown: seen often, for long and from many directions, though it was missed in between.
+    Lasting = 6,
     /// Not shown: too few returns, or too few cells.
     TooFew = 10,
     /// Not shown: missed, and part of no surface that could explain why. Somebody passed, or something was taken away.
@@ -113,6 +115,11 @@ const LARGE: f32 = 0.7;
 /// What was solid has been taken away if it was missed over this range (rad) and never seen again: 3 degrees, the error of a view
 /// angle at 1 m.
 const GONE: f64 = 0.05;
+/// Brightness from which on what is seen over [more](GLINTING) than glass is cannot be its dust, which falls off with the power of 1.5 of the
+/// angle: an eighth of the brightest that is diffuse, dark cloth (octaves).
+const DIFFUSE: f64 = -3.0;
+/// Scans in which nobody who walks by is seen in a cell, nor eight of them one after the other: each takes 0.3 s, 12 scans of a UTM-30LX.
+const MANY: u16 = 100;
 /// Incidence from which on a wall that is still there may return nothing (rad): 75 degrees, where some return three times in ten.
 const GRAZING: f64 = 1.31;
 /// A cell is drawn unless one right before or behind it got so many times its returns. Where a wall's face runs along the border of two
@@ -285,7 +292,8 @@ impl Visagge {
         let round = round.filter(|line| explains(line, cell, settings));
         let verdict = shape(cell, round.as_ref().or(line.as_ref()), has_come, settings);
         // What is seen in something round is elsewhere; and what was never met about its normal is not known well enough.
-        let may_show = verdict.is_shown() && verdict != Verdict::Oblique && round.is_none();
+        let is_unexplained = matches!(verdict, Verdict::Oblique | Verdict::Lasting);
+        let may_show = verdict.is_shown() && !is_unexplained && round.is_none();
         let mirror =
             line.filter(|line| may_show && is_seen_through && !is_single && line.is_flat()).map(|line| {
                 let plane = Plane::new(&line, index.middle(self.resolution));
@@ -360,9 +368,31 @@ pub(super) fn is_in_the_way(cell: &Cell, settings: &VisaggeSettings) -> bool {
 
 /// Whether the cell was missed to the end, and not for being looked at along the surface through it.
 fn is_gone(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> bool {
-    let is_along = |line: &Line| line.off_normal(cell.missed_since.middle().rad()) > GRAZING;
+    let missed = &cell.missed_since;
+    // All of it but less than what tells that it is gone.
+    let is_along =
+        |line: &Line| line.off_normal(missed.middle().rad()) - missed.width_rad() / 2.0 + GONE > GRAZING;
     let is_grazing = line.is_some_and(|line| line.is_flat() && line.length >= LEAST_LENGTH && is_along(line));
-    u32::from(cell.missed_since.width) >= units(GONE) && !is_grazing && settings.has(Idea::TakenAway)
+    u32::from(missed.width) >= units(GONE) && !is_grazing && settings.has(Idea::TakenAway)
+}
+
+/// Whether the cell is of something diffuse, which returns wherever it is looked at from: what could have glinted and has not, is seen over
+/// more than glass and too bright for dust.
+fn is_diffuse(cell: &Cell, settings: &VisaggeSettings) -> bool {
+    let is_bright = cell.brightness().is_some_and(|brightness| brightness > DIFFUSE);
+    is_bright
+        && !cell.returns.has_glinted()
+        && cell.visible.range.width_rad() > GLINTING
+        && settings.has(Idea::Diffuse)
+}
+
+/// Whether the cell was seen for so long, so often and from so many directions that it is there whatever made scans miss it in between: an
+/// image in a mirror before it, or glass.
+fn is_lasting(cell: &Cell, settings: &VisaggeSettings) -> bool {
+    cell.returns.hits >= MANY
+        && cell.lasted() >= STAYING
+        && u32::from(cell.visible.range.width) >= units(WIDE)
+        && settings.has(Idea::Lasting)
 }
 
 /// Whether nothing is seen through the cell, which is solid: it was not crossed before it was first seen, and it is seen from so many
@@ -384,17 +414,23 @@ fn shape(cell: &Cell, line: Option<&Line>, has_come: bool, settings: &VisaggeSet
         return Verdict::NoSurface;
     }
     let is_large = || line.is_some_and(|line| line.is_flat() && line.length >= LARGE);
-    if is_solid(cell, settings) && !is_gone(cell, line, settings) && (!has_come || is_large()) {
+    let is_gone = is_gone(cell, line, settings);
+    if is_solid(cell, settings) && !is_gone && (!has_come || is_large()) {
         return Verdict::Solid;
     }
     if cell.returns.passes > 0 {
         return Verdict::Repeated;
+    }
+    if is_gone && is_diffuse(cell, settings) {
+        return Verdict::NoSurface;
     }
     let is_explained = line.is_some_and(|line| explains(line, cell, settings)) || glints(cell, settings);
     if is_explained || !settings.has(Idea::Surfaces) {
         Verdict::Surface
     } else if line.is_some_and(|line| is_oblique(line, cell, settings)) {
         Verdict::Oblique
+    } else if is_lasting(cell, settings) && !is_gone {
+        Verdict::Lasting
     } else {
         Verdict::NoSurface
     }
@@ -534,22 +570,67 @@ mod tests {
     #[test]
     fn what_is_missed_to_the_end_where_it_would_return_has_gone() {
         let box_ = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.6, share: 1.0, glints: false };
-        let judged = |line: &Line, from: f64, seen_again: bool| {
+        let judged = |line: &Line, from: f64, to: f64, seen_again: bool| {
             let mut cell = Cell::of(&Returns::new([0, 0], false), &Track::default());
             cell.returns.occupancy = 9;
             cell.visible.range = AngleRange { start: Angle(0), width: units(1.0) as u16 };
             let start = Angle::from_rad(from.to_radians());
-            let range = AngleRange { start, width: units(5f64.to_radians()) as u16 };
+            let range = AngleRange { start, width: units((to - from).to_radians()) as u16 };
             cell.missed_width = range.width;
             cell.missed_since = if seen_again { AngleRange::default() } else { range };
             shape(&cell, Some(line), false, &VisaggeSettings::default())
         };
-        let missed = |from: f64, seen_again: bool| judged(&box_, from, seen_again);
+        let missed = |from: f64, seen_again: bool| judged(&box_, from, from + 5.0, seen_again);
         assert_eq!(missed(-50.0, false), Verdict::NoSurface);
         assert_eq!(missed(-50.0, true), Verdict::Solid);
         assert_eq!(missed(-85.0, false), Verdict::Solid, "along its face");
         let somebody = Line { rms: 0.06, ..box_ };
-        assert_eq!(judged(&somebody, -85.0, false), Verdict::NoSurface, "who has no face");
+        assert_eq!(judged(&somebody, -85.0, -80.0, false), Verdict::NoSurface, "who has no face");
+        assert_eq!(judged(&box_, -88.0, -66.0, false), Verdict::NoSurface, "not all of it along its face");
+    }
+
+    #[test]
+    fn what_is_seen_over_more_than_glass_and_too_bright_for_dust_has_gone_when_it_is_missed() {
+        let front = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.9, share: 1.0, glints: false };
+        let judged = |degrees: f64, octaves: Option<f32>, glints: u8, seen_again: bool| {
+            let returns = Returns { occupancy: 9, hits: 60, glints, ..Returns::new([0, 0], true) };
+            let mut cell = Cell::of(&returns, &Track::default());
+            if let Some(octaves) = octaves {
+                cell.returns.record_brightness(octaves);
+            }
+            let at = |degrees: f64| Angle::from_rad(degrees.to_radians());
+            let width = |degrees: f64| units(degrees.to_radians()) as u16;
+            cell.visible.range = AngleRange { start: at(-degrees / 2.0), width: width(degrees) };
+            cell.missed_width = width(70.0);
+            let missed = AngleRange { start: at(-60.0), width: width(9.0) };
+            cell.missed_since = if seen_again { AngleRange::default() } else { missed };
+            shape(&cell, Some(&front), false, &VisaggeSettings::default())
+        };
+        assert_eq!(judged(60.0, Some(-2.0), 0, false), Verdict::NoSurface, "the side of a cart");
+        assert_eq!(judged(60.0, Some(-2.0), 0, true), Verdict::Surface, "seen again");
+        assert_eq!(judged(40.0, Some(-2.0), 0, false), Verdict::Surface, "of a pane");
+        assert_eq!(judged(60.0, Some(-4.0), 0, false), Verdict::Surface, "dust");
+        assert_eq!(judged(60.0, Some(-2.0), 2, false), Verdict::Surface, "metal");
+        assert_eq!(judged(60.0, None, 0, false), Verdict::Surface, "without intensities");
+    }
+
+    #[test]
+    fn what_was_seen_often_for_long_and_from_many_directions_is_there() {
+        let judged = |hits: u16, lasted: f32, degrees: f64, missed_since: f64| {
+            let returns =
+                Returns { occupancy: 30, hits, hit_time: [0.0, lasted], ..Returns::new([0, 0], true) };
+            let mut cell = Cell::of(&returns, &Track::default());
+            let width = |degrees: f64| units(degrees.to_radians()) as u16;
+            cell.visible.range.width = width(degrees);
+            cell.missed_width = width(20.0);
+            cell.missed_since = AngleRange { start: Angle::from_rad(1.0), width: width(missed_since) };
+            shape(&cell, None, false, &VisaggeSettings::default())
+        };
+        assert_eq!(judged(100, 40.0, 12.0, 1.0), Verdict::Lasting, "a wall behind a mirror's images");
+        assert_eq!(judged(90, 40.0, 12.0, 1.0), Verdict::NoSurface, "people on their ways");
+        assert_eq!(judged(900, 20.0, 12.0, 1.0), Verdict::NoSurface, "somebody who stood there");
+        assert_eq!(judged(900, 40.0, 8.0, 1.0), Verdict::NoSurface, "from one direction");
+        assert_eq!(judged(100, 40.0, 12.0, 9.0), Verdict::NoSurface, "gone since");
     }
 
     #[test]

@@ -25,7 +25,7 @@ use super::{
     sweep::Sweep,
     tiles::{CellIndex, SIDE, TileIndex, Tiles},
     track::{LANES, Look, Track, distance_units},
-    view::{CROSSED, Lens, Place, Tolerance, View},
+    view::{Lens, Place, Tolerance, View},
 };
 use serde::{Deserialize, Serialize};
 use std::{f64::consts::SQRT_2, sync::Weak};
@@ -174,8 +174,7 @@ impl Evidence {
     fn add(&mut self, returns: Returns, track: Track) -> usize {
         let number = self.cells.len();
         self.slots.set(place_of(returns.place), number);
-        let mark = if returns.was_crossed { CROSSED } else { 0 };
-        self.cells.push(returns, Track { place: track.place | mark, ..track });
+        self.cells.push(returns, track);
         cells::push(&mut self.judgements, Judgement::default());
         number
     }
@@ -506,6 +505,7 @@ impl Visagge {
             {
                 returns.record_brightness(octaves);
             }
+            evidence.cells.mark(number);
         }
     }
 

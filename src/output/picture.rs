@@ -16,12 +16,13 @@ const SPECULAR: Colour = [0, 70, 255];
 const INK: Colour = [0, 0, 0];
 
 /// Colours of explain.png: strong where the cell is shown, pale where it is not.
-const VERDICTS: [(Verdict, Colour); 9] = [
+const VERDICTS: [(Verdict, Colour); 10] = [
     (Verdict::Solid, INK),
     (Verdict::Surface, [0, 70, 255]),
     (Verdict::Repeated, [0, 140, 60]),
     (Verdict::Bridged, [0, 190, 220]),
     (Verdict::Oblique, [120, 60, 200]),
+    (Verdict::Lasting, [0, 90, 90]),
     (Verdict::TooFew, [215, 215, 160]),
     (Verdict::NoSurface, [255, 150, 140]),
     (Verdict::Image, [240, 150, 240]),
