@@ -4,7 +4,7 @@ use super::{
     cell::{Cell, Returns},
     track::{Block, LANES, Track},
     verdict::is_wall,
-    view::{HIT, TWO},
+    view::HIT,
 };
 
 /// See the module.
@@ -30,7 +30,6 @@ impl Cells {
             push(&mut self.blocks, Block::default());
         }
         self.blocks[number / LANES].set(number % LANES, track);
-        self.mark(number);
     }
 
     /// Takes one out; the last one takes over its number.
@@ -41,14 +40,6 @@ impl Cells {
         self.blocks[number / LANES].set(number % LANES, track);
         self.blocks[last / LANES].set(last % LANES, Track::default());
         self.blocks.truncate(last.div_ceil(LANES));
-    }
-
-    /// Marks a cell by what its returns say, which have become more.
-    #[inline(always)]
-    pub fn mark(&mut self, number: usize) {
-        let place = &mut self.blocks[number / LANES].place[number % LANES];
-        let mark = if self.returns[number].may_be_two() { TWO } else { 0 };
-        *place = *place & !TWO | mark;
     }
 
     /// Marks a cell as hit.
@@ -97,32 +88,4 @@ pub fn push<T>(to: &mut Vec<T>, value: T) {
         to.reserve_exact((to.len() / 16).max(1));
     }
     to.push(value);
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_pane_may_share_its_cell_and_what_is_diffuse_does_not() {
-        let may_be_two = |was_crossed: bool, octaves: Option<f32>, glints: u8| {
-            let mut cells = Cells::default();
-            let other = Returns { brightness: 0, ..Returns::new([4, 5], true) };
-            cells.push(other, Track { place: 5 << 6 | 4, ..Track::default() });
-            cells.push(Returns::new([3, 5], was_crossed), Track { place: 5 << 6 | 3, ..Track::default() });
-            let returns = cells.hit(1);
-            returns.glints = glints;
-            octaves.into_iter().for_each(|octaves| returns.record_brightness(octaves));
-            cells.mark(1);
-            let places = [0, 1].map(|number| cells.track(number).place & !TWO);
-            assert_eq!(places, [5 << 6 | 4, HIT | 5 << 6 | 3]);
-            assert_eq!(cells.track(0).place & TWO, 0);
-            cells.track(1).place & TWO != 0
-        };
-        assert!(may_be_two(true, None, 0), "without intensities");
-        assert!(!may_be_two(false, None, 0), "it stood there before a beam had crossed the cell");
-        assert!(!may_be_two(true, Some(-1.0), 0), "somebody");
-        assert!(may_be_two(true, Some(-2.5), 0), "a pane that leans");
-        assert!(may_be_two(true, Some(1.0), 2), "one that glints");
-    }
 }

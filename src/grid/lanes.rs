@@ -7,6 +7,7 @@
 
 use super::{
     angle::Angle,
+    cell::Returns,
     sweep::Sweep,
     track::{Block, Event, LANES, Look},
     view::{Around, Crossing, HIT, Observation, Sight},
@@ -19,14 +20,8 @@ pub(super) trait Path {
     fn cross(around: &Around, crossings: &mut [Crossing]);
     /// How the sensor sees the cells of a block, and how far the nearest of them is, or some other place in the tile.
     fn sights(vantage: &Vantage, block: &Block, sights: &mut Sights) -> u16;
-    /// Records what the scan says of the first `count` cells of a block, and tells of what is the business of the cell in a lane.
-    fn record(
-        glance: &Glance,
-        block: &mut Block,
-        sights: &Sights,
-        count: usize,
-        tell: impl FnMut(usize, Event),
-    );
+    /// Records what the scan says of the cells of a block, of which these are the returns, and gives whether one of them has gone.
+    fn record(glance: &Glance, block: &mut Block, sights: &Sights, returns: &mut [Returns]) -> bool;
 }
 
 /// [`super::view::Sight`]s of the cells of a block. They are taken of all blocks of a tile before any is recorded: each takes long,
@@ -93,16 +88,12 @@ impl Path for Portable {
     }
 
     #[inline(always)]
-    fn record(
-        glance: &Glance,
-        block: &mut Block,
-        sights: &Sights,
-        count: usize,
-        mut tell: impl FnMut(usize, Event),
-    ) {
-        for lane in 0..count {
-            record_lane(glance, block, sights, lane, &mut tell);
+    fn record(glance: &Glance, block: &mut Block, sights: &Sights, returns: &mut [Returns]) -> bool {
+        let mut has_gone = false;
+        for (lane, returns) in returns.iter_mut().enumerate() {
+            has_gone |= record_lane(glance, block, sights, lane, returns);
         }
+        has_gone
     }
 }
 
@@ -115,14 +106,15 @@ fn cross_from(first: usize, around: &Around, crossings: &mut [Crossing]) {
     }
 }
 
+/// Records what the scan says of the cell in a lane, and gives whether it has gone.
 #[inline(always)]
 fn record_lane(
     glance: &Glance,
     block: &mut Block,
     sights: &Sights,
     lane: usize,
-    tell: &mut impl FnMut(usize, Event),
-) {
+    returns: &mut Returns,
+) -> bool {
     let sight = Sight {
         range: sights.range[lane],
         beam: sights.beam[lane],
@@ -136,18 +128,20 @@ fn record_lane(
     };
     // Nearly always nothing has gone on here before either.
     if observation == Observation::Hidden && block.run[lane] == 0 && block.missed_scans[lane] == 0 {
-        return;
+        return false;
     }
     let mut track = block.get(lane);
     if !glance.follows {
         track.end_run();
     }
     let look = Look { angle: sight.angle, range: sight.range, way: glance.way };
-    let event = track.record(observation, &look, glance.scans, glance.rule);
+    let event = track.record(observation, &look, glance.scans, glance.rule, returns);
     block.set(lane, track);
-    if event != Event::None {
-        tell(lane, event);
+    if event == Event::None {
+        return false;
     }
+    returns.record(event, glance.scans, glance.rule);
+    returns.occupancy == 0
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -155,7 +149,8 @@ mod avx2 {
     use super::{Path, Sights, cross_from, record_lane};
     use crate::grid::{
         angle::{ATAN, ROUNDER},
-        track::{Block, Event, LANES, Run, Sectors, TENTH, UNITS_PER_M},
+        cell::Returns,
+        track::{Block, LANES, Run, Sectors, TENTH, UNITS_PER_M},
         view::{Around, Crossing, FARTHEST, HIT, INVERSE, LEAST_DISTANCE},
         visagge::{Glance, Vantage},
     };
@@ -178,21 +173,17 @@ mod avx2 {
         }
 
         #[inline(always)]
-        fn record(
-            glance: &Glance,
-            block: &mut Block,
-            sights: &Sights,
-            count: usize,
-            mut tell: impl FnMut(usize, Event),
-        ) {
+        fn record(glance: &Glance, block: &mut Block, sights: &Sights, returns: &mut [Returns]) -> bool {
+            let mut has_gone = false;
             // SAFETY: as above.
-            let mut closely = unsafe { record_block(glance, block, sights, count) };
+            let mut closely = unsafe { record_block(glance, block, sights, returns.len()) };
             while closely != 0 {
                 // Two bits a lane.
                 let lane = closely.trailing_zeros() as usize / 2;
                 closely &= !(0b11 << (2 * lane));
-                record_lane(glance, block, sights, lane, &mut tell);
+                has_gone |= record_lane(glance, block, sights, lane, &mut returns[lane]);
             }
+            has_gone
         }
     }
 

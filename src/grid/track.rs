@@ -7,8 +7,8 @@
 
 use super::{
     angle::{Angle, AngleRange, whole},
-    cell::{Rule, Visible},
-    view::{HIT, Observation, Place, TWO},
+    cell::{Returns, Rule, Visible},
+    view::{HIT, Observation, Place},
 };
 
 /// Units of distance in a metre. 15 bits then hold 64 m, and 2 mm are less than any error.
@@ -130,15 +130,22 @@ impl Track {
     }
 
     /// Core steps 2 to 4. Where something nearer returned, or the cell is outside of the field of view, nothing goes on.
-    /// `scans`: how many there were since the look before.
-    pub fn record(&mut self, observation: Observation, look: &Look, scans: u16, rule: &Rule) -> Event {
+    /// `scans`: how many there were since the look before. `returns`: the cell's.
+    pub fn record(
+        &mut self,
+        observation: Observation,
+        look: &Look,
+        scans: u16,
+        rule: &Rule,
+        returns: &Returns,
+    ) -> Event {
         let (before, was) = (self.sector, self.run);
         self.place &= !HIT;
         match observation {
             Observation::Seen => self.record_seen(before, was, look, rule),
             Observation::Missed | Observation::Silent => {
                 self.missed_scans = self.missed_scans.saturating_add(scans);
-                self.record_missed(look, observation == Observation::Silent, rule)
+                self.record_missed(look, observation == Observation::Silent, rule, returns)
             }
             Observation::Hidden => {
                 self.end_run();
@@ -195,7 +202,7 @@ impl Track {
     }
 
     /// Core steps 3 and 4: the beams went past; `silent`, they returned nothing at all.
-    fn record_missed(&mut self, look: &Look, silent: bool, rule: &Rule) -> Event {
+    fn record_missed(&mut self, look: &Look, silent: bool, rule: &Rule, returns: &Returns) -> Event {
         self.go_on(Run::Missed, look);
         if silent && self.missed_scans < rule.silent_scans {
             return Event::None;
@@ -208,7 +215,7 @@ impl Track {
         let of = [(self.visible, self.way), (self.visible_too, self.way_too)];
         let contradicted = of.map(|(visible, way)| visible.exists() && is_deep_in(visible.range, way));
         if contradicted != [false; 2] {
-            if self.forgets(contradicted, rule) {
+            if rule.apart && returns.may_be_two() && self.forgets(contradicted) {
                 return Event::None;
             }
             let is_surely = |(contradicted, (visible, way)): (bool, (Sector, f32))| {
@@ -228,9 +235,8 @@ impl Track {
 
     /// Forgets the one of two ranges that is contradicted, where the other is not, and they may tell of two things: a pane seen at its normal and, in
     /// the same cell, an image or its dust seen from elsewhere. Gives whether it did.
-    fn forgets(&mut self, contradicted: [bool; 2], rule: &Rule) -> bool {
-        let may_be_two = rule.apart && self.place & TWO != 0 && self.visible_too.exists();
-        if !may_be_two || contradicted == [true; 2] {
+    fn forgets(&mut self, contradicted: [bool; 2]) -> bool {
+        if !self.visible_too.exists() || contradicted == [true; 2] {
             return false;
         }
         if contradicted[0] {
@@ -381,7 +387,7 @@ mod tests {
         }
 
         fn new(degrees: f64) -> Drive {
-            let mut drive = Drive { cell: Returns::new([0, 0], true), track: Track::default(), way: 0.0 };
+            let mut drive = Drive { cell: Returns::new([0, 0], false), track: Track::default(), way: 0.0 };
             drive.track = Track::new(0, &drive.look(degrees));
             drive
         }
@@ -391,7 +397,7 @@ mod tests {
             let look = self.look(degrees);
             let observation = if seen { Observation::Seen } else { Observation::Missed };
             self.cell.occupancy += u8::from(seen);
-            let event = self.track.record(observation, &look, 1, &RULE);
+            let event = self.track.record(observation, &look, 1, &RULE, &self.cell);
             self.cell.record(event, 1, &RULE);
             matches!(event, Event::Contradiction { .. })
         }
@@ -432,10 +438,11 @@ mod tests {
             let mut cell = Returns { occupancy: 30, glints, hits: 60, ..Returns::new([0, 0], false) };
             let mut track = Track::new(0, &look(-5.0, seen_from));
             for degrees in -4..=5 {
-                track.record(Observation::Seen, &look(degrees.into(), seen_from), 1, &RULE);
+                track.record(Observation::Seen, &look(degrees.into(), seen_from), 1, &RULE, &cell);
             }
             for degrees in missed {
-                let event = track.record(Observation::Missed, &look(degrees.into(), missed_from), 1, &RULE);
+                let look = look(degrees.into(), missed_from);
+                let event = track.record(Observation::Missed, &look, 1, &RULE, &cell);
                 cell.record(event, 1, &RULE);
             }
             cell.occupancy
@@ -510,7 +517,13 @@ mod tests {
             if degrees.rem_euclid(2) != 0 && !(-4..=6).contains(&degrees) {
                 assert!(!drive.scan(f64::from(degrees), false));
             } else {
-                drive.track.record(Observation::Hidden, &drive.look(f64::from(degrees)), 1, &RULE);
+                drive.track.record(
+                    Observation::Hidden,
+                    &drive.look(f64::from(degrees)),
+                    1,
+                    &RULE,
+                    &drive.cell,
+                );
             }
         }
         assert!(drive.track.missed_width <= 1);
@@ -528,23 +541,37 @@ mod tests {
 
     #[test]
     fn of_two_things_in_a_cell_the_one_that_has_gone_is_forgotten() {
-        let seen = |mark: Place| {
+        let seen = |was_crossed: bool| {
             let mut drive = Drive::new(0.0);
-            drive.track.place |= mark;
+            drive.cell.was_crossed = was_crossed;
             drive.pass(0, 4, 0..=4);
             drive.pass(60, 63, 60..=63);
             drive
         };
-        let mut pane = seen(TWO);
+        let mut pane = seen(true);
         let [first, second] = [pane.track.visible, pane.track.visible_too];
         assert_eq!(pane.pass(50, 80, 0..=0), 0);
         assert_eq!([pane.track.visible, pane.track.visible_too], [first, Sector::default()], "the narrower");
         assert!(pane.pass(-10, 10, 99..=99) >= 2, "then the other");
-        let mut pane = seen(TWO);
+        let mut pane = seen(true);
         assert_eq!(pane.pass(-10, 10, 99..=99), 0);
         assert_eq!([pane.track.visible, pane.track.visible_too], [second, Sector::default()], "the wider");
-        assert!(seen(0).pass(50, 80, 0..=0) >= 2, "one thing");
-        let both = seen(TWO).pass(-10, 80, 99..=99);
+        assert!(seen(false).pass(50, 80, 0..=0) >= 2, "a door is one thing");
+        let both = seen(true).pass(-10, 80, 99..=99);
         assert!(both >= 2, "missed over both");
+    }
+
+    #[test]
+    fn a_pane_may_share_its_cell_and_what_is_diffuse_does_not() {
+        let may_be_two = |was_crossed: bool, octaves: Option<f32>, glints: u8| {
+            let mut returns = Returns { glints, hits: 9, ..Returns::new([0, 0], was_crossed) };
+            octaves.into_iter().for_each(|octaves| returns.record_brightness(octaves));
+            returns.may_be_two()
+        };
+        assert!(may_be_two(true, None, 0), "without intensities");
+        assert!(!may_be_two(false, None, 0), "it stood there before a beam had crossed the cell");
+        assert!(!may_be_two(true, Some(-1.0), 0), "somebody");
+        assert!(may_be_two(true, Some(-2.5), 0), "a pane that leans");
+        assert!(may_be_two(true, Some(1.0), 2), "one that glints");
     }
 }

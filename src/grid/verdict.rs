@@ -5,7 +5,8 @@
 //! as a surface that is visible near its normal only: the neighbouring cells must form a flat patch whose normal is the direction
 //! from which they were seen, with nothing else seen from there right before or behind it (paper IV-C gives the reason, and a weaker
 //! test), or a piece of a circle that was met squarely in each of them, or a long straight line that was seen often and may be no image; or
-//! they have glinted, where the scanner tells intensities. What was solid and is missed to the end has been taken away; what has come as a
+//! they have glinted, where the scanner tells intensities; or it was seen so often, for so long and from so many directions that it is there
+//! whatever missed it. What was solid and is missed to the end has been taken away; what has come as a
 //! whole and is no larger than a person may be one who waits. What is the image of something else in a mapped surface, or is seen through a wall, is not there at all. And of what is
 //! left, a surface is drawn one cell thick, but a pane before a wall and a thin wall's other face are drawn too.
 //!
@@ -116,8 +117,8 @@ const LARGE: f32 = 0.7;
 /// angle at 1 m.
 const GONE: f64 = 0.05;
 /// Brightness from which on what is seen over [more](GLINTING) than glass is cannot be its dust, which falls off with the power of 1.5 of the
-/// angle: an eighth of the brightest that is diffuse, dark cloth (octaves).
-const DIFFUSE: f64 = -3.0;
+/// angle: a sixth of the brightest that is diffuse, dark cloth (octaves).
+const DIFFUSE: f64 = -2.5;
 /// Scans in which nobody who walks by is seen in a cell, nor eight of them one after the other: each takes 0.3 s, 12 scans of a UTM-30LX.
 const MANY: u16 = 100;
 /// Incidence from which on a wall that is still there may return nothing (rad): 75 degrees, where some return three times in ten.
@@ -291,7 +292,7 @@ impl Visagge {
         let round = is_sought.then(|| window().round(index, cell, &mut reach)).flatten();
         let round = round.filter(|line| explains(line, cell, settings));
         let verdict = shape(cell, round.as_ref().or(line.as_ref()), has_come, settings);
-        // What is seen in something round is elsewhere; and what was never met about its normal is not known well enough.
+        // What is seen in something round is elsewhere; and of what no surface explains, the plane is not known well enough.
         let is_unexplained = matches!(verdict, Verdict::Oblique | Verdict::Lasting);
         let may_show = verdict.is_shown() && !is_unexplained && round.is_none();
         let mirror =
@@ -379,7 +380,7 @@ fn is_gone(cell: &Cell, line: Option<&Line>, settings: &VisaggeSettings) -> bool
 /// Whether the cell is of something diffuse, which returns wherever it is looked at from: what could have glinted and has not, is seen over
 /// more than glass and too bright for dust.
 fn is_diffuse(cell: &Cell, settings: &VisaggeSettings) -> bool {
-    let is_bright = cell.brightness().is_some_and(|brightness| brightness > DIFFUSE);
+    let is_bright = cell.brightness().is_some_and(|brightness| brightness >= DIFFUSE);
     is_bright
         && !cell.returns.has_glinted()
         && cell.visible.range.width_rad() > GLINTING
@@ -606,10 +607,10 @@ mod tests {
             cell.missed_since = if seen_again { AngleRange::default() } else { missed };
             shape(&cell, Some(&front), false, &VisaggeSettings::default())
         };
-        assert_eq!(judged(60.0, Some(-2.0), 0, false), Verdict::NoSurface, "the side of a cart");
+        assert_eq!(judged(60.0, Some(-2.4), 0, false), Verdict::NoSurface, "the side of a cart");
         assert_eq!(judged(60.0, Some(-2.0), 0, true), Verdict::Surface, "seen again");
         assert_eq!(judged(40.0, Some(-2.0), 0, false), Verdict::Surface, "of a pane");
-        assert_eq!(judged(60.0, Some(-4.0), 0, false), Verdict::Surface, "dust");
+        assert_eq!(judged(60.0, Some(-2.6), 0, false), Verdict::Surface, "dust");
         assert_eq!(judged(60.0, Some(-2.0), 2, false), Verdict::Surface, "metal");
         assert_eq!(judged(60.0, None, 0, false), Verdict::Surface, "without intensities");
     }

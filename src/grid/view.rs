@@ -126,8 +126,6 @@ pub(super) const INVERSE: [f32; 3] = [0.9926, -0.8284, 0.3431];
 pub type Place = u16;
 /// Mark of a [`Place`]: this scan hit the cell.
 pub const HIT: Place = 1 << 15;
-/// Mark of a [`Place`]: what the cell's view angles tell of may be two things ([`super::cell::Returns::may_be_two`]).
-pub const TWO: Place = 1 << 14;
 
 /// What the beams that cross a cell have in common ([`UNITS_PER_M`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

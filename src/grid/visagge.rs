@@ -505,7 +505,6 @@ impl Visagge {
             {
                 returns.record_brightness(octaves);
             }
-            evidence.cells.mark(number);
         }
     }
 
@@ -533,10 +532,7 @@ impl Visagge {
             let mut removed = false;
             for ((block, returns), sights) in blocks.iter_mut().zip(returns.chunks_mut(LANES)).zip(&**sights)
             {
-                P::record(&glance, block, sights, returns.len(), |lane, event| {
-                    returns[lane].record(event, scans, rule);
-                    removed |= returns[lane].occupancy == 0;
-                });
+                removed |= P::record(&glance, block, sights, returns);
             }
             if removed {
                 evidence.retain(|returns| returns.occupancy > 0);
@@ -699,7 +695,7 @@ mod tests {
                         assert_eq!(observation, Observation::Hidden, "{:?} of {place:?}", returns.place);
                         continue;
                     }
-                    returns.record(track.record(observation, &look, scans, &rule), scans, &rule);
+                    returns.record(track.record(observation, &look, scans, &rule, returns), scans, &rule);
                     evidence.cells.blocks[number / LANES].set(number % LANES, track);
                 }
                 evidence.retain(|returns| returns.occupancy > 0);
