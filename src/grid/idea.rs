@@ -50,8 +50,10 @@ pub enum Idea {
     Bright,
     /// Where nearly all that is seen through a surface is explained, it is opaque, and reflects all.
     Opacity,
-    /// What is seen far behind a surface and is not explained does not tell that it is seen through.
-    Far,
+    /// Only an original right where it is sought tells that a surface is opaque, and only where there is none far around, that it is not.
+    Tells,
+    /// The plane that something is mirrored in is drawn through all that goes on along it, walls beside it included.
+    LongPlanes,
     /// A wall that runs straight at a surface does not tell whether that is opaque: its image would lie on itself.
     Symmetry,
     /// An image must be explained from its second range of view angles too.
@@ -87,7 +89,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 38] = [
+    pub const ALL: [Idea; 39] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Driven,
@@ -110,7 +112,8 @@ impl Idea {
         Idea::Fresnel,
         Idea::Bright,
         Idea::Opacity,
-        Idea::Far,
+        Idea::Tells,
+        Idea::LongPlanes,
         Idea::Symmetry,
         Idea::SecondRange,
         Idea::Originals,

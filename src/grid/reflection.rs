@@ -42,9 +42,9 @@ const PLACE: f64 = 0.1;
 const DIRECTION: f64 = 0.02;
 /// Widest search around the mirrored point (m).
 const WIDEST: f64 = 0.3;
-/// What is seen farther behind a surface than this (m), and is not explained, may be an image all the same: its original is sought up to
-/// [0.3 m](WIDEST) away, which at 8 m is 0.7 degrees of the surface's direction beside 0.1 m of place, and that is not [known](DIRECTION) better.
-const TELLS: f64 = 8.0;
+/// An original tells that a surface is opaque if it lies within this part of how exactly it is known: the image of a wall that stands as far
+/// behind glass as another one before it, give or take a quarter of a metre, is that wall by chance.
+const TELLS: f64 = 0.5;
 /// An original that is seen from some directions only is seen up to this far off those from which it was (rad): 6 degrees, by which
 /// an image is off at 3 m from where it is sought.
 const OFF_VIEW: f64 = 0.1;
@@ -96,8 +96,8 @@ pub(super) enum Image {
     PassedBy(Block),
     /// Seen through a surface, and a wall hides from that where its original would stand: so it has none.
     NoOriginal(Block),
-    /// Seen through a surface, and no beam has come to where its original would stand, or that is not known well enough, or it runs straight at
-    /// the surface, or is too bright for what would be glass.
+    /// Seen through a surface, and no beam has come to where its original would stand, or what stands thereabouts may be another thing, or it
+    /// runs straight at the surface, or is too bright for what would be glass.
     Unknown(Block),
     /// Explained, but glass would not reflect that much: only an opaque surface there.
     IfOpaque(Block),
@@ -611,7 +611,8 @@ fn explained<'a>(
         let is_within = |reach: f64, [x, y]: [f64; 2]| {
             (mirrored[0] - x).powi(2) + (mirrored[1] - y).powi(2) <= reach * reach
         };
-        let tolerance = (PLACE + 2.0 * DIRECTION * (range - distance)).min(WIDEST);
+        let known = PLACE + 2.0 * DIRECTION * (range - distance);
+        let tolerance = known.min(WIDEST);
         // What lies in the plane of a mirror would be its own original.
         if is_within(SQRT_2 * tolerance, point) {
             return false;
@@ -625,12 +626,19 @@ fn explained<'a>(
             let met = [0, 1].map(|axis| sensor[axis] - view[axis] * distance / range);
             grid.is_hidden(mirrored, tolerance, &Sight { from: met, ..*sight }, sought)
         };
-        let explains = is_within(BODY + tolerance, sensor)
+        let is_robot = is_within(BODY + tolerance, sensor);
+        let explains = is_robot
             || grid.has_original(mirrored, || *seen_from, tolerance, sought)
                 && !(sight.may_explain && is_hidden(sought));
         let needed = (range / SEES).max(if sight.has_glinted { OF_GLINTS } else { 0.0 });
         let reflects = LazyCell::new(|| glass_reflects(mirror.plane.off_normal(view[1].atan2(view[0]))));
-        let tells = || range - distance <= TELLS || !grid.settings.has(Idea::Far);
+        let tells = grid.settings.has(Idea::Tells);
+        let is_right_there = |sought: &mut Sought| {
+            is_robot || grid.has_original(mirrored, || *seen_from, tolerance.min(TELLS * known), sought)
+        };
+        let is_any_around = |sought: &mut Sought| {
+            known > tolerance && grid.is_any_shown(mirrored, known, sought, |_, _, _| true)
+        };
         let by_glass = || needed <= *reflects || !grid.settings.has(Idea::Fresnel);
         image = match (explains, image) {
             (true, _) if by_glass() => {
@@ -640,8 +648,13 @@ fn explained<'a>(
                 Image::Yes
             }
             (true, _) if grid.runs_along(point, mirror.plane.normal(), sought) => Image::Unknown(block),
+            (true, _) if tells && !sight.has_glinted && !is_right_there(sought) => Image::Unknown(block),
             (true, _) => Image::IfOpaque(block),
-            (false, Image::No) if sight.decides && tells() && grid.is_crossed(mirrored, sought) => {
+            (false, Image::No)
+                if sight.decides
+                    && grid.is_crossed(mirrored, sought)
+                    && !(tells && is_any_around(sought)) =>
+            {
                 Image::Unexplained(block)
             }
             (false, Image::No) if sight.decides && is_hidden(sought) => Image::NoOriginal(block),
@@ -1287,18 +1300,35 @@ mod tests {
     }
 
     #[test]
-    fn what_is_far_behind_a_surface_does_not_tell_that_it_is_seen_through() {
-        let seen = |behind: f64, without: &[Idea]| {
-            let [pane, _, image] = pane();
-            let y = pane.y + behind;
-            let mut grid = drawn_without(without, &[pane.clone(), Row { y, range: y as f32, ..image }]);
+    fn an_original_tells_that_a_surface_is_opaque_only_right_where_it_is_sought() {
+        let seen = |beside: f64, glints: u8, without: &[Idea]| {
+            let [mirror, original, image] = mirror();
+            let original = Row { y: original.y - beside, ..original };
+            let mut grid = drawn_without(without, &[mirror, original, image]);
+            found_in(&mut grid, [1.01, 3.01], |cell| cell.returns.glints = glints)
+        };
+        assert!(matches!(seen(0.0, 0, &[]), Image::IfOpaque(_)));
+        assert!(matches!(seen(0.12, 0, &[]), Image::Unknown(_)), "another wall");
+        assert!(matches!(seen(0.12, 0, &[Idea::Tells]), Image::IfOpaque(_)));
+        assert!(matches!(seen(0.12, 2, &[]), Image::IfOpaque(_)), "a glint");
+    }
+
+    #[test]
+    fn where_anything_stands_about_the_original_of_what_is_far_it_does_not_tell_that_a_surface_is_seen_through()
+     {
+        let seen = |beside: f64, without: &[Idea]| {
+            let [pane, original, image] = pane();
+            let y = pane.y + 8.0;
+            let image = Row { y, range: y as f32, ..image };
+            let other = Row { y: pane.y - 8.0 - beside, range: (8.0 - pane.y + beside) as f32, ..original };
+            let mut grid = drawn_without(without, &[pane.clone(), image, other]);
             // Where the original would stand beams have passed.
-            pass(&mut grid, [1.01, pane.y - behind]);
+            pass(&mut grid, [1.01, pane.y - 8.0]);
             found_in(&mut grid, [1.01, y], |cell| cell.returns.hit_time = [5.0, 7.0])
         };
-        assert!(matches!(seen(TELLS - 0.2, &[]), Image::Unexplained(_)));
-        assert!(matches!(seen(TELLS + 0.2, &[]), Image::Unknown(_)));
-        assert!(matches!(seen(TELLS + 0.2, &[Idea::Far]), Image::Unexplained(_)));
+        assert!(matches!(seen(0.5, &[]), Image::Unexplained(_)));
+        assert!(matches!(seen(0.35, &[]), Image::Unknown(_)));
+        assert!(matches!(seen(0.35, &[Idea::Tells]), Image::Unexplained(_)));
     }
 
     #[test]

@@ -150,6 +150,8 @@ struct Neighbour {
     at: [f64; 2],
     seen_from: Angle,
     weight: f64,
+    /// The same by all of its returns, as their square root: each has an error of its range, and those of one pass share that of the pose.
+    weight_of_returns: f64,
     /// Whether a beam had crossed it before the first return came.
     was_crossed: bool,
     /// Whether it was hardly ever missed: what stands behind a pane, not somebody's other leg.
@@ -217,6 +219,7 @@ impl Window {
                 at: cell.returns_at(index, grid.resolution),
                 seen_from: cell.visible.range.middle(),
                 weight: f64::from(cell.returns.occupancy.min(WEIGHT)),
+                weight_of_returns: f64::from(cell.returns.hits).sqrt(),
                 was_crossed: cell.returns.was_crossed,
                 is_solid: is_solid(&cell, &grid.settings),
                 glints: cell.returns.glints > 0,
@@ -260,13 +263,14 @@ impl Window {
         came > COME_AS_ONE * all
     }
 
-    /// The line through what lies along a patch, on both sides as far as the row does not break off.
+    /// The line through what lies along a patch, on both sides as far as the row does not break off; `weigh` tells what each cell counts.
     fn lengthened(
         &self,
         patch: &Line,
         origin: [f64; 2],
         seen_from: Angle,
         same_view: u32,
+        weigh: impl Fn(&Neighbour) -> f64,
         reach: &mut Reach,
     ) -> Option<Line> {
         if !patch.is_flat() {
@@ -297,7 +301,7 @@ impl Window {
                     {
                         moments.add(
                             [neighbour.at[0] - origin[0], neighbour.at[1] - origin[1]],
-                            neighbour.weight,
+                            weigh(neighbour),
                         );
                         found = true;
                     }
@@ -311,6 +315,17 @@ impl Window {
             }
         }
         moments.line(origin)
+    }
+
+    /// The plane that a surface through a cell is part of, along this line: drawn through all that goes on along it, whoever of that is a wall
+    /// that a mirror hangs on or a pane is set in. A degree is 0.3 m beside at 9 m; a patch of panes alone is off by as much in one case of five.
+    /// `reach` takes in all cells that this depends on.
+    pub fn plane(&self, index: CellIndex, cell: &Cell, line: Line, reach: &mut Reach) -> Line {
+        let origin = cell.returns_at(index, self.resolution);
+        let seen_from = cell.visible.range.middle();
+        let weigh = |neighbour: &Neighbour| neighbour.weight_of_returns;
+        let long = self.lengthened(&line, origin, seen_from, units(OF_PILLAR), weigh, reach);
+        long.filter(Line::is_flat).unwrap_or(line)
     }
 
     /// The line that touches, in a cell, the round surface through it: one that is met squarely, in each of the cells around, from where that
@@ -441,7 +456,8 @@ impl Patch<'_> {
         };
         let trimmed = is_uneven.then(trim).flatten().filter(|line| line.length >= LEAST_TRIMMED);
         let patch = trimmed.unwrap_or(patch);
-        let long = self.window.lengthened(&patch, self.origin, self.seen_from, same_view, reach);
+        let weigh = |neighbour: &Neighbour| neighbour.weight;
+        let long = self.window.lengthened(&patch, self.origin, self.seen_from, same_view, weigh, reach);
         let long = long.filter(|long| long.is_flat() && long.length > patch.length);
         Some(long.unwrap_or(patch))
     }
@@ -551,6 +567,44 @@ mod tests {
             "somebody, from a robot that turns around him"
         );
         assert!(there(judged(0.45, |bearing| bearing + 0.5, &[])) < 0.2, "off the normal");
+    }
+
+    #[test]
+    fn a_plane_is_drawn_through_the_wall_on_both_sides_of_a_pane() {
+        // The normal of the plane through a pane of half a metre, askew by a hundredth, in a wall so many cells before it that is seen from
+        // `off` degrees off the pane's normal; and that of the pane's line.
+        let normals = |before: u8, off: f64| {
+            let mut grid = Visagge::new(CELL, VisaggeSettings::default());
+            let cells = (4..50).map(|y| {
+                let is_pane = (22..32).contains(&y);
+                let x = if is_pane { 30 } else { 30 - before };
+                let mut returns = Returns::new([x, y], true);
+                (returns.occupancy, returns.hits) = (10, if is_pane { 25 } else { 400 });
+                returns.centroid = [if is_pane { 0.5 + 0.01 * (f32::from(y) - 26.5) } else { 0.5 }, 0.5];
+                let seen_from = if is_pane { 180.0 } else { 180.0 + off };
+                let range = AngleRange::at(Angle::from_rad(f64::to_radians(seen_from)));
+                let visible = Sector { range, ends: [1024; 2] };
+                (returns, Track { place: place_of([x, y]), visible, ..Track::default() })
+            });
+            let place = TileIndex { x: 0, y: 0 };
+            let tile = grid.tiles.find_or_make(place);
+            let evidence = grid.tiles.at_mut(tile).evidence.get_or_insert_default();
+            evidence.fill(cells);
+            let window = Window::around(&grid, place);
+            let evidence = grid.tiles.at(tile).evidence.as_ref().expect("it was filled");
+            let cell = evidence.cells.get(evidence.number(30, 24).expect("it was filled"));
+            let mut reach = Reach::at(cell.returns.place);
+            let index = cell.index(place);
+            let line = window.patch(index, &cell, &mut reach).surface(units(OF_PLANE), &mut reach);
+            let line = line.expect("there is one");
+            [window.plane(index, &cell, line, &mut reach), line].map(|line| line.off_normal(PI))
+        };
+        let [plane, line] = normals(0, 10.0);
+        assert!((line - 0.01).abs() < 0.001, "{line}");
+        assert!(plane < 0.003, "{plane}");
+        for alone in [normals(0, 25.0), normals(4, 10.0)] {
+            assert!((alone[0] - alone[1]).abs() < 0.001, "{alone:?}");
+        }
     }
 
     /// The line through a row of cells along y and, as far to the right of every third one, others; all seen from the left.

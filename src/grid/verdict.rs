@@ -297,6 +297,8 @@ impl Visagge {
         let may_show = verdict.is_shown() && !is_unexplained && round.is_none();
         let mirror =
             line.filter(|line| may_show && is_seen_through && !is_single && line.is_flat()).map(|line| {
+                let is_long = settings.has(Idea::LongPlanes);
+                let line = if is_long { window().plane(index, cell, line, &mut reach) } else { line };
                 let plane = Plane::new(&line, index.middle(self.resolution));
                 Mirror { plane, visible: cell.visible.range }
             });
