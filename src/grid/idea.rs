@@ -38,7 +38,8 @@ pub enum Idea {
     Clutter,
     /// Cells in narrow gaps of what is shown are shown.
     Gaps,
-    /// A surface is more than one cell: what is not solid is not shown where nothing beside it is.
+    /// A surface is more than one cell: what is not solid is not shown where nothing beside it is, or hardly anything beside what could have
+    /// glinted and was missed.
     Alone,
     /// Images are not shown.
     Images,

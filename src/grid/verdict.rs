@@ -74,6 +74,10 @@ const LEAST_LENGTH: f32 = 0.3;
 /// The same where none of it has glinted though glints could be told (m): nearly all panes glint where they are met at their normal,
 /// and nobody's legs do. But panes that lean by a degree don't either, and nobody is broader than that, or [stays](STAYING) that long.
 const LEAST_DULL: f32 = 0.5;
+/// How many cells are shown, within three columns and rows of each, of the [least](LEAST_LENGTH) surface; and, once it was missed over
+/// [10 degrees](WIDE) since it was last seen, of the [least](LEAST_DULL) that has not glinted, at its end: who walks along a wall leaves less.
+const TOGETHER: u32 = 2;
+const TOGETHER_DULL: u32 = 5;
 /// Least share of what was seen from there, somewhat before and behind it, that lies on a surface. Before a pane there is
 /// nothing, and behind it seldom anything as near; a person's legs swing to and fro.
 const LEAST_SHARE: f32 = 0.85;
@@ -145,10 +149,20 @@ pub(super) fn is_in_gap(cell: [u8; 2], shown: &CellsAround) -> bool {
     })
 }
 
-/// Whether none of the cells around, up to three columns and rows away, is `shown` by itself: of 0.3 m of a surface, which is the
-/// [least](LEAST_LENGTH), others are.
-pub(super) fn is_alone(cell: [u8; 2], shown: &CellsAround) -> bool {
-    shown.near(cell).iter().map(|cells| cells.count_ones()).sum::<u32>() <= 1
+/// Whether too few of the cells around, up to three columns and rows away, are `shown` by themselves for what the cell is by itself to be a
+/// surface.
+pub(super) fn is_alone(
+    cell: &Cell,
+    by_itself: Verdict,
+    shown: &CellsAround,
+    settings: &VisaggeSettings,
+) -> bool {
+    let was_missed = u32::from(cell.missed_since.width) >= units(WIDE);
+    let is_dull =
+        by_itself == Verdict::Surface && was_missed && !cell.returns.has_glinted() && is_dull(cell, settings);
+    let least = if is_dull { TOGETHER_DULL } else { TOGETHER };
+    let together: u32 = shown.near(cell.returns.place).iter().map(|cells| cells.count_ones()).sum();
+    together < least
 }
 
 /// Those of a tile's cells at which a diagonal line goes round a corner that it could cut: the cells before and behind touch each other, and
@@ -333,13 +347,16 @@ fn explains(line: &Line, cell: &Cell, settings: &VisaggeSettings) -> bool {
     let beyond = off - cell.visible.range.width_rad() / 2.0;
     let is_long = line.length >= LONG && line.rms <= STRAIGHT && settings.has(Idea::LongSurfaces);
     let [most, most_beyond] = if is_long { OFF_LONG } else { OFF_SHORT };
-    let may_be_somebody = cell.returns.is_brightness_known() && !line.glints && cell.lasted() < STAYING;
-    let is_dull = may_be_somebody && settings.has(Idea::Dull);
-    line.length >= if is_dull { LEAST_DULL } else { LEAST_LENGTH }
+    line.length >= if !line.glints && is_dull(cell, settings) { LEAST_DULL } else { LEAST_LENGTH }
         && line.is_flat()
         && (line.share >= LEAST_SHARE || !settings.has(Idea::Clutter))
         && off <= most
         && beyond <= most_beyond
+}
+
+/// Whether the cell may be of somebody, unless it has glinted: that could be told, and it has not stayed for long.
+fn is_dull(cell: &Cell, settings: &VisaggeSettings) -> bool {
+    cell.returns.is_brightness_known() && cell.lasted() < STAYING && settings.has(Idea::Dull)
 }
 
 /// Whether the cell is part of a surface along this line, which was seen from where nothing need be seen of it. What was solid and is gone
@@ -447,7 +464,7 @@ mod tests {
         cell::UNKNOWN,
         tiles::{SIDE, TileIndex},
         track::{Sector, Track},
-        visagge::VisaggeSettings,
+        visagge::{VisaggeSettings, place_of},
     };
 
     #[test]
@@ -755,20 +772,35 @@ mod tests {
 
     #[test]
     fn a_surface_is_more_than_one_cell() {
-        // Shown by themselves, in these columns.
-        let drawn = |columns: &[u8], by_itself: Verdict| {
+        // Shown by themselves, in these columns; seen so bright, with so many glints, and missed since over so many degrees.
+        let seen = |columns: &[u8], by_itself: Verdict, brightness: Option<f32>, glints: u8, missed: f64| {
             let mut grid = Visagge::new(0.05, VisaggeSettings::default());
             let number = grid.tiles.find_or_make(TileIndex { x: 0, y: 0 });
             let evidence = grid.tiles.at_mut(number).evidence.get_or_insert_default();
-            evidence.fill(columns.iter().map(|&column| (Returns::new([column, 5], false), Track::default())));
+            evidence.fill(columns.iter().map(|&column| {
+                let mut returns = Returns { hits: 9, glints, ..Returns::new([column, 5], false) };
+                if let Some(octaves) = brightness {
+                    returns.record_brightness(octaves);
+                }
+                let missed_since = AngleRange { start: Angle(0), width: units(missed.to_radians()) as u16 };
+                (returns, Track { place: place_of([column, 5]), missed_since, ..Track::default() })
+            }));
             evidence.judgements.iter_mut().for_each(|judgement| judgement.unthinned = by_itself);
             columns.iter().for_each(|column| evidence.shown[5] |= 1 << column);
             grid.thin_all();
             grid.cells().map(|(.., judgement)| judgement.verdict).collect::<Vec<_>>()
         };
+        let drawn = |columns: &[u8], by_itself| seen(columns, by_itself, None, 0, 40.0);
         assert_eq!(drawn(&[9], Verdict::Surface), [Verdict::TooFew]);
         assert_eq!(drawn(&[9, 13], Verdict::Repeated), [Verdict::TooFew; 2]);
         assert_eq!(drawn(&[9, 12], Verdict::Surface), [Verdict::Surface; 2]);
         assert_eq!(drawn(&[9], Verdict::Solid), [Verdict::Solid], "the leg of a table");
+        let dull = |columns: &[u8], glints, missed| {
+            seen(columns, Verdict::Surface, Some(-2.0), glints, missed)[1].is_shown()
+        };
+        assert!(!dull(&[7, 8, 9, 10], 0, 40.0), "somebody who walked along a wall");
+        assert!(dull(&[7, 8, 9, 10, 11], 0, 40.0));
+        assert!(dull(&[7, 8, 9, 10], 2, 40.0), "a pane");
+        assert!(dull(&[7, 8, 9, 10], 0, 5.0), "not missed yet");
     }
 }
