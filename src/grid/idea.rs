@@ -24,8 +24,6 @@ pub enum Idea {
     Surfaces,
     /// A surface is sought among what was seen from the very same direction first.
     PlanesFirst,
-    /// A single glint on a broad surface is no random reading.
-    Singles,
     /// Long straight surfaces may be seen farther off their normal.
     LongSurfaces,
     /// What is missed may be round, too: seen about the normal of a circle in each of its cells.
@@ -90,7 +88,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 39] = [
+    pub const ALL: [Idea; 38] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Driven,
@@ -100,7 +98,6 @@ impl Idea {
         Idea::Lasting,
         Idea::Surfaces,
         Idea::PlanesFirst,
-        Idea::Singles,
         Idea::LongSurfaces,
         Idea::Round,
         Idea::Oblique,

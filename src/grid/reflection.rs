@@ -42,8 +42,8 @@ const PLACE: f64 = 0.1;
 const DIRECTION: f64 = 0.02;
 /// Widest search around the mirrored point (m).
 const WIDEST: f64 = 0.3;
-/// An original tells that a surface is opaque if it lies within this part of how exactly it is known: the image of a wall that stands as far
-/// behind glass as another one before it, give or take a quarter of a metre, is that wall by chance.
+/// An original tells that a surface is opaque if it lies within this part of how exactly it is known: rooms on both sides of glass may be as deep
+/// as each other, give or take a quarter of a metre, and seldom are exactly.
 const TELLS: f64 = 0.5;
 /// An original that is seen from some directions only is seen up to this far off those from which it was (rad): 6 degrees, by which
 /// an image is off at 3 m from where it is sought.
@@ -633,8 +633,11 @@ fn explained<'a>(
         let needed = (range / SEES).max(if sight.has_glinted { OF_GLINTS } else { 0.0 });
         let reflects = LazyCell::new(|| glass_reflects(mirror.plane.off_normal(view[1].atan2(view[0]))));
         let tells = grid.settings.has(Idea::Tells);
+        // Of what glints hardly anything else is that near.
         let is_right_there = |sought: &mut Sought| {
-            is_robot || grid.has_original(mirrored, || *seen_from, tolerance.min(TELLS * known), sought)
+            is_robot
+                || sight.has_glinted
+                || grid.has_original(mirrored, || *seen_from, tolerance.min(TELLS * known), sought)
         };
         let is_any_around = |sought: &mut Sought| {
             known > tolerance && grid.is_any_shown(mirrored, known, sought, |_, _, _| true)
@@ -648,7 +651,7 @@ fn explained<'a>(
                 Image::Yes
             }
             (true, _) if grid.runs_along(point, mirror.plane.normal(), sought) => Image::Unknown(block),
-            (true, _) if tells && !sight.has_glinted && !is_right_there(sought) => Image::Unknown(block),
+            (true, _) if tells && !is_right_there(sought) => Image::Unknown(block),
             (true, _) => Image::IfOpaque(block),
             (false, Image::No)
                 if sight.decides

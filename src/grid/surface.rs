@@ -317,9 +317,9 @@ impl Window {
         moments.line(origin)
     }
 
-    /// The plane that a surface through a cell is part of, along this line: drawn through all that goes on along it, whoever of that is a wall
-    /// that a mirror hangs on or a pane is set in. A degree is 0.3 m beside at 9 m; a patch of panes alone is off by as much in one case of five.
-    /// `reach` takes in all cells that this depends on.
+    /// The plane that a surface through a cell is part of, along this line: drawn through all that goes on along it, be it a wall that a mirror
+    /// hangs on or that a pane is set in. The line through what was seen alike is off by a degree in one case of five, which is 0.3 m beside the
+    /// image of what is 9 m away. `reach` takes in all cells that this depends on.
     pub fn plane(&self, index: CellIndex, cell: &Cell, line: Line, reach: &mut Reach) -> Line {
         let origin = cell.returns_at(index, self.resolution);
         let seen_from = cell.visible.range.middle();

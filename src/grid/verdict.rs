@@ -66,8 +66,7 @@ impl Verdict {
     }
 }
 
-/// Occupancy below which a cell is a random reading: they come once in a thousand beams (paper III-B). But not if that was a glint and lies on
-/// a broad surface: a robot that passes a pane within half a metre, at 1 m/s, meets each cell of it in one scan, or in none.
+/// Occupancy below which a cell is a random reading: they come once in a thousand beams (paper III-B).
 const LEAST_HITS: u8 = 2;
 /// Least length of a surface (m): two legs of 12 cm side by side.
 const LEAST_LENGTH: f32 = 0.3;
@@ -269,12 +268,7 @@ impl Visagge {
         let mut reach = Reach::at(cell.returns.place);
         let may_go = alone == Verdict::Solid && cell.returns.was_crossed && cell.lasted() < STAYING;
         let has_come = may_go && settings.has(Idea::Visitors) && window().has_come(index, cell, &mut reach);
-        let is_single = cell.returns.occupancy < LEAST_HITS;
-        let matters = if is_single {
-            cell.returns.glints > 0 && settings.has(Idea::Singles)
-        } else {
-            !alone.is_shown() || is_seen_through || has_come
-        };
+        let matters = alone != Verdict::TooFew && (!alone.is_shown() || is_seen_through || has_come);
         let line = if matters {
             let patch = window().patch(index, cell, &mut reach);
             let surface = |same_view: u32, reach: &mut Reach| {
@@ -309,13 +303,12 @@ impl Visagge {
         // What is seen in something round is elsewhere; and of what no surface explains, the plane is not known well enough.
         let is_unexplained = matches!(verdict, Verdict::Oblique | Verdict::Lasting);
         let may_show = verdict.is_shown() && !is_unexplained && round.is_none();
-        let mirror =
-            line.filter(|line| may_show && is_seen_through && !is_single && line.is_flat()).map(|line| {
-                let is_long = settings.has(Idea::LongPlanes);
-                let line = if is_long { window().plane(index, cell, line, &mut reach) } else { line };
-                let plane = Plane::new(&line, index.middle(self.resolution));
-                Mirror { plane, visible: cell.visible.range }
-            });
+        let mirror = line.filter(|line| may_show && is_seen_through && line.is_flat()).map(|line| {
+            let is_long = settings.has(Idea::LongPlanes);
+            let line = if is_long { window().plane(index, cell, line, &mut reach) } else { line };
+            let plane = Plane::new(&line, index.middle(self.resolution));
+            Mirror { plane, visible: cell.visible.range }
+        });
         Shape { verdict, mirror, reach }
     }
 }
@@ -426,9 +419,7 @@ pub(super) fn is_wall(returns: &Returns, [visible, missed]: [u16; 2]) -> bool {
 /// `has_come`: with all around it, and it may go again.
 fn shape(cell: &Cell, line: Option<&Line>, has_come: bool, settings: &VisaggeSettings) -> Verdict {
     if cell.returns.occupancy < LEAST_HITS {
-        let is_broad = |line: &Line| line.length >= LEAST_DULL && explains(line, cell, settings);
-        let is_glint = cell.returns.glints > 0 && line.is_some_and(is_broad);
-        return if is_glint { Verdict::Surface } else { Verdict::TooFew };
+        return Verdict::TooFew;
     }
     if is_in_the_way(cell, settings) {
         return Verdict::NoSurface;
@@ -654,6 +645,18 @@ mod tests {
     }
 
     #[test]
+    fn a_single_return_is_a_random_reading() {
+        let line = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.9, share: 1.0, glints: true };
+        let judged = |occupancy: u8| {
+            let returns = Returns { occupancy, glints: occupancy, ..Returns::new([0, 0], false) };
+            let cell = Cell::of(&returns, &Track::default());
+            shape(&cell, Some(&line), false, &VisaggeSettings::default())
+        };
+        assert_eq!(judged(1), Verdict::TooFew);
+        assert!(judged(2).is_shown());
+    }
+
+    #[test]
     fn what_glints_is_seen_about_its_normal_unless_it_is_seen_from_all_around() {
         let judged = |degrees: f64, glints: u8| {
             let mut cell = Cell::of(&Returns::new([0, 0], true), &Track::default());
@@ -667,19 +670,6 @@ mod tests {
         assert_eq!(judged(2.0, 1), Verdict::NoSurface, "a random reading");
         assert_eq!(judged(2.0, 2), Verdict::Surface);
         assert_eq!(judged(60.0, 2), Verdict::NoSurface, "a box of polished metal that was taken away");
-    }
-
-    #[test]
-    fn a_single_glint_on_a_broad_surface_is_no_random_reading() {
-        let judged = |glints: u8, length: f32| {
-            let mut cell = Cell::of(&Returns::new([0, 0], true), &Track::default());
-            (cell.returns.occupancy, cell.returns.glints) = (1, glints);
-            let line = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length, share: 1.0, glints: true };
-            shape(&cell, Some(&line), false, &VisaggeSettings::default())
-        };
-        assert_eq!(judged(1, 0.6), Verdict::Surface);
-        assert_eq!(judged(0, 0.6), Verdict::TooFew);
-        assert_eq!(judged(1, 0.4), Verdict::TooFew, "no broader than somebody");
     }
 
     #[test]
