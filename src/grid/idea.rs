@@ -24,6 +24,8 @@ pub enum Idea {
     Surfaces,
     /// A surface is sought among what was seen from the very same direction first.
     PlanesFirst,
+    /// A single glint on a broad surface is no random reading.
+    Singles,
     /// Long straight surfaces may be seen farther off their normal.
     LongSurfaces,
     /// What is missed may be round, too: seen about the normal of a circle in each of its cells.
@@ -36,8 +38,7 @@ pub enum Idea {
     Clutter,
     /// Cells in narrow gaps of what is shown are shown.
     Gaps,
-    /// A surface is more than one cell: what is not solid is not shown where nothing beside it is, or hardly anything beside what could have
-    /// glinted and was missed.
+    /// A surface is more than one cell: what is not solid is not shown where nothing beside it is.
     Alone,
     /// Images are not shown.
     Images,
@@ -88,7 +89,7 @@ pub enum Idea {
 
 impl Idea {
     /// All of them.
-    pub const ALL: [Idea; 38] = [
+    pub const ALL: [Idea; 39] = [
         Idea::Newcomers,
         Idea::Silences,
         Idea::Driven,
@@ -98,6 +99,7 @@ impl Idea {
         Idea::Lasting,
         Idea::Surfaces,
         Idea::PlanesFirst,
+        Idea::Singles,
         Idea::LongSurfaces,
         Idea::Round,
         Idea::Oblique,

@@ -342,7 +342,7 @@ impl Visagge {
                 .enumerate()
                 .map(|(at, judgement)| {
                     let unthinned = judgement.unthinned;
-                    let is_alone = || is_alone(&evidence.cells.get(at), unthinned, &shown, &self.settings);
+                    let is_alone = || is_alone(evidence.cells.returns[at].place, &shown);
                     let is_outweighed = || self.is_outweighed((place, evidence), at, &shown);
                     if !unthinned.is_shown() {
                         unthinned

@@ -66,17 +66,14 @@ impl Verdict {
     }
 }
 
-/// Occupancy below which a cell is a random reading: they come once in a thousand beams (paper III-B).
+/// Occupancy below which a cell is a random reading: they come once in a thousand beams (paper III-B). But not if that was a glint and lies on
+/// a broad surface: a robot that passes a pane within half a metre, at 1 m/s, meets each cell of it in one scan, or in none.
 const LEAST_HITS: u8 = 2;
 /// Least length of a surface (m): two legs of 12 cm side by side.
 const LEAST_LENGTH: f32 = 0.3;
 /// The same where none of it has glinted though glints could be told (m): nearly all panes glint where they are met at their normal,
 /// and nobody's legs do. But panes that lean by a degree don't either, and nobody is broader than that, or [stays](STAYING) that long.
 const LEAST_DULL: f32 = 0.5;
-/// How many cells are shown, within three columns and rows of each, of the [least](LEAST_LENGTH) surface; and, once it was missed over
-/// [10 degrees](WIDE) since it was last seen, of the [least](LEAST_DULL) that has not glinted, at its end: who walks along a wall leaves less.
-const TOGETHER: u32 = 2;
-const TOGETHER_DULL: u32 = 5;
 /// Least share of what was seen from there, somewhat before and behind it, that lies on a surface. Before a pane there is
 /// nothing, and behind it seldom anything as near; a person's legs swing to and fro.
 const LEAST_SHARE: f32 = 0.85;
@@ -148,20 +145,10 @@ pub(super) fn is_in_gap(cell: [u8; 2], shown: &CellsAround) -> bool {
     })
 }
 
-/// Whether too few of the cells around, up to three columns and rows away, are `shown` by themselves for what the cell is by itself to be a
-/// surface.
-pub(super) fn is_alone(
-    cell: &Cell,
-    by_itself: Verdict,
-    shown: &CellsAround,
-    settings: &VisaggeSettings,
-) -> bool {
-    let was_missed = u32::from(cell.missed_since.width) >= units(WIDE);
-    let is_dull =
-        by_itself == Verdict::Surface && was_missed && !cell.returns.has_glinted() && is_dull(cell, settings);
-    let least = if is_dull { TOGETHER_DULL } else { TOGETHER };
-    let together: u32 = shown.near(cell.returns.place).iter().map(|cells| cells.count_ones()).sum();
-    together < least
+/// Whether none of the cells around, up to three columns and rows away, is `shown` by itself: of 0.3 m of a surface, which is the
+/// [least](LEAST_LENGTH), others are.
+pub(super) fn is_alone(cell: [u8; 2], shown: &CellsAround) -> bool {
+    shown.near(cell).iter().map(|cells| cells.count_ones()).sum::<u32>() <= 1
 }
 
 /// Those of a tile's cells at which a diagonal line goes round a corner that it could cut: the cells before and behind touch each other, and
@@ -268,7 +255,12 @@ impl Visagge {
         let mut reach = Reach::at(cell.returns.place);
         let may_go = alone == Verdict::Solid && cell.returns.was_crossed && cell.lasted() < STAYING;
         let has_come = may_go && settings.has(Idea::Visitors) && window().has_come(index, cell, &mut reach);
-        let matters = alone != Verdict::TooFew && (!alone.is_shown() || is_seen_through || has_come);
+        let is_single = cell.returns.occupancy < LEAST_HITS;
+        let matters = if is_single {
+            cell.returns.glints > 0 && settings.has(Idea::Singles)
+        } else {
+            !alone.is_shown() || is_seen_through || has_come
+        };
         let line = if matters {
             let patch = window().patch(index, cell, &mut reach);
             let surface = |same_view: u32, reach: &mut Reach| {
@@ -303,12 +295,13 @@ impl Visagge {
         // What is seen in something round is elsewhere; and of what no surface explains, the plane is not known well enough.
         let is_unexplained = matches!(verdict, Verdict::Oblique | Verdict::Lasting);
         let may_show = verdict.is_shown() && !is_unexplained && round.is_none();
-        let mirror = line.filter(|line| may_show && is_seen_through && line.is_flat()).map(|line| {
-            let is_long = settings.has(Idea::LongPlanes);
-            let line = if is_long { window().plane(index, cell, line, &mut reach) } else { line };
-            let plane = Plane::new(&line, index.middle(self.resolution));
-            Mirror { plane, visible: cell.visible.range }
-        });
+        let mirror =
+            line.filter(|line| may_show && is_seen_through && !is_single && line.is_flat()).map(|line| {
+                let is_long = settings.has(Idea::LongPlanes);
+                let line = if is_long { window().plane(index, cell, line, &mut reach) } else { line };
+                let plane = Plane::new(&line, index.middle(self.resolution));
+                Mirror { plane, visible: cell.visible.range }
+            });
         Shape { verdict, mirror, reach }
     }
 }
@@ -340,16 +333,13 @@ fn explains(line: &Line, cell: &Cell, settings: &VisaggeSettings) -> bool {
     let beyond = off - cell.visible.range.width_rad() / 2.0;
     let is_long = line.length >= LONG && line.rms <= STRAIGHT && settings.has(Idea::LongSurfaces);
     let [most, most_beyond] = if is_long { OFF_LONG } else { OFF_SHORT };
-    line.length >= if !line.glints && is_dull(cell, settings) { LEAST_DULL } else { LEAST_LENGTH }
+    let may_be_somebody = cell.returns.is_brightness_known() && !line.glints && cell.lasted() < STAYING;
+    let is_dull = may_be_somebody && settings.has(Idea::Dull);
+    line.length >= if is_dull { LEAST_DULL } else { LEAST_LENGTH }
         && line.is_flat()
         && (line.share >= LEAST_SHARE || !settings.has(Idea::Clutter))
         && off <= most
         && beyond <= most_beyond
-}
-
-/// Whether the cell may be of somebody, unless it has glinted: that could be told, and it has not stayed for long.
-fn is_dull(cell: &Cell, settings: &VisaggeSettings) -> bool {
-    cell.returns.is_brightness_known() && cell.lasted() < STAYING && settings.has(Idea::Dull)
 }
 
 /// Whether the cell is part of a surface along this line, which was seen from where nothing need be seen of it. What was solid and is gone
@@ -419,7 +409,9 @@ pub(super) fn is_wall(returns: &Returns, [visible, missed]: [u16; 2]) -> bool {
 /// `has_come`: with all around it, and it may go again.
 fn shape(cell: &Cell, line: Option<&Line>, has_come: bool, settings: &VisaggeSettings) -> Verdict {
     if cell.returns.occupancy < LEAST_HITS {
-        return Verdict::TooFew;
+        let is_broad = |line: &Line| line.length >= LEAST_DULL && explains(line, cell, settings);
+        let is_glint = cell.returns.glints > 0 && line.is_some_and(is_broad);
+        return if is_glint { Verdict::Surface } else { Verdict::TooFew };
     }
     if is_in_the_way(cell, settings) {
         return Verdict::NoSurface;
@@ -455,7 +447,7 @@ mod tests {
         cell::UNKNOWN,
         tiles::{SIDE, TileIndex},
         track::{Sector, Track},
-        visagge::{VisaggeSettings, place_of},
+        visagge::VisaggeSettings,
     };
 
     #[test]
@@ -645,18 +637,6 @@ mod tests {
     }
 
     #[test]
-    fn a_single_return_is_a_random_reading() {
-        let line = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length: 0.9, share: 1.0, glints: true };
-        let judged = |occupancy: u8| {
-            let returns = Returns { occupancy, glints: occupancy, ..Returns::new([0, 0], false) };
-            let cell = Cell::of(&returns, &Track::default());
-            shape(&cell, Some(&line), false, &VisaggeSettings::default())
-        };
-        assert_eq!(judged(1), Verdict::TooFew);
-        assert!(judged(2).is_shown());
-    }
-
-    #[test]
     fn what_glints_is_seen_about_its_normal_unless_it_is_seen_from_all_around() {
         let judged = |degrees: f64, glints: u8| {
             let mut cell = Cell::of(&Returns::new([0, 0], true), &Track::default());
@@ -670,6 +650,19 @@ mod tests {
         assert_eq!(judged(2.0, 1), Verdict::NoSurface, "a random reading");
         assert_eq!(judged(2.0, 2), Verdict::Surface);
         assert_eq!(judged(60.0, 2), Verdict::NoSurface, "a box of polished metal that was taken away");
+    }
+
+    #[test]
+    fn a_single_glint_on_a_broad_surface_is_no_random_reading() {
+        let judged = |glints: u8, length: f32| {
+            let mut cell = Cell::of(&Returns::new([0, 0], true), &Track::default());
+            (cell.returns.occupancy, cell.returns.glints) = (1, glints);
+            let line = Line { at: [0.0; 2], normal: 0.0, rms: 0.012, length, share: 1.0, glints: true };
+            shape(&cell, Some(&line), false, &VisaggeSettings::default())
+        };
+        assert_eq!(judged(1, 0.6), Verdict::Surface);
+        assert_eq!(judged(0, 0.6), Verdict::TooFew);
+        assert_eq!(judged(1, 0.4), Verdict::TooFew, "no broader than somebody");
     }
 
     #[test]
@@ -762,35 +755,20 @@ mod tests {
 
     #[test]
     fn a_surface_is_more_than_one_cell() {
-        // Shown by themselves, in these columns; seen so bright, with so many glints, and missed since over so many degrees.
-        let seen = |columns: &[u8], by_itself: Verdict, brightness: Option<f32>, glints: u8, missed: f64| {
+        // Shown by themselves, in these columns.
+        let drawn = |columns: &[u8], by_itself: Verdict| {
             let mut grid = Visagge::new(0.05, VisaggeSettings::default());
             let number = grid.tiles.find_or_make(TileIndex { x: 0, y: 0 });
             let evidence = grid.tiles.at_mut(number).evidence.get_or_insert_default();
-            evidence.fill(columns.iter().map(|&column| {
-                let mut returns = Returns { hits: 9, glints, ..Returns::new([column, 5], false) };
-                if let Some(octaves) = brightness {
-                    returns.record_brightness(octaves);
-                }
-                let missed_since = AngleRange { start: Angle(0), width: units(missed.to_radians()) as u16 };
-                (returns, Track { place: place_of([column, 5]), missed_since, ..Track::default() })
-            }));
+            evidence.fill(columns.iter().map(|&column| (Returns::new([column, 5], false), Track::default())));
             evidence.judgements.iter_mut().for_each(|judgement| judgement.unthinned = by_itself);
             columns.iter().for_each(|column| evidence.shown[5] |= 1 << column);
             grid.thin_all();
             grid.cells().map(|(.., judgement)| judgement.verdict).collect::<Vec<_>>()
         };
-        let drawn = |columns: &[u8], by_itself| seen(columns, by_itself, None, 0, 40.0);
         assert_eq!(drawn(&[9], Verdict::Surface), [Verdict::TooFew]);
         assert_eq!(drawn(&[9, 13], Verdict::Repeated), [Verdict::TooFew; 2]);
         assert_eq!(drawn(&[9, 12], Verdict::Surface), [Verdict::Surface; 2]);
         assert_eq!(drawn(&[9], Verdict::Solid), [Verdict::Solid], "the leg of a table");
-        let dull = |columns: &[u8], glints, missed| {
-            seen(columns, Verdict::Surface, Some(-2.0), glints, missed)[1].is_shown()
-        };
-        assert!(!dull(&[7, 8, 9, 10], 0, 40.0), "somebody who walked along a wall");
-        assert!(dull(&[7, 8, 9, 10, 11], 0, 40.0));
-        assert!(dull(&[7, 8, 9, 10], 2, 40.0), "a pane");
-        assert!(dull(&[7, 8, 9, 10], 0, 5.0), "not missed yet");
     }
 }
