@@ -1317,8 +1317,7 @@ mod tests {
     }
 
     #[test]
-    fn where_anything_stands_about_the_original_of_what_is_far_it_does_not_tell_that_a_surface_is_seen_through()
-     {
+    fn what_may_have_an_original_thereabouts_does_not_tell_that_a_surface_is_seen_through() {
         let seen = |beside: f64, without: &[Idea]| {
             let [pane, original, image] = pane();
             let y = pane.y + 8.0;

@@ -515,17 +515,32 @@ mod tests {
         idea::Idea,
         track::{Sector, Track},
         verdict::Verdict,
-        visagge::{VisaggeSettings, place_of},
+        visagge::{Evidence, VisaggeSettings, place_of},
     };
     use std::{collections::BTreeMap, f64::consts::TAU};
 
     const CELL: f64 = 0.05;
 
+    const TILE: TileIndex = TileIndex { x: 0, y: 0 };
+
+    /// A map of one tile with these cells.
+    fn filled(cells: impl Iterator<Item = (Returns, Track)>, without: &[Idea]) -> Visagge {
+        let settings = VisaggeSettings { without: without.to_vec(), ..VisaggeSettings::default() };
+        let mut grid = Visagge::new(CELL, settings);
+        let tile = grid.tiles.find_or_make(TILE);
+        let evidence = grid.tiles.at_mut(tile).evidence.get_or_insert_default();
+        evidence.fill(cells);
+        evidence.is_touched = true;
+        grid
+    }
+
+    fn evidence(grid: &Visagge) -> &Evidence {
+        grid.tiles.get(TILE).and_then(|tile| tile.evidence.as_deref()).expect("it was filled")
+    }
+
     /// What is judged of the cells of half a circle of this radius (m) around (2, 2), each seen over 6 degrees about the direction that
     /// `seen_from` makes of the one from the middle (rad), and missed over 60.
     fn judged(radius: f64, seen_from: impl Fn(f64) -> f64, without: &[Idea]) -> Vec<Verdict> {
-        let settings = VisaggeSettings { without: without.to_vec(), ..VisaggeSettings::default() };
-        let mut grid = Visagge::new(CELL, settings);
         let mut cells = BTreeMap::new();
         for step in 0..200 {
             let bearing = TAU * f64::from(step) / 400.0;
@@ -533,22 +548,18 @@ mod tests {
             let place = at.map(|at| at as u8);
             cells.entry(place_of(place)).or_insert((place, at.map(f64::fract), seen_from(bearing)));
         }
-        let cells = cells.into_iter().map(|(number, (place, inside, from))| {
+        let cells = cells.into_values().map(|(place, inside, from)| {
             let mut returns = Returns::new(place, true);
             (returns.occupancy, returns.hits) = (20, 20);
             returns.centroid = inside.map(|at| at as f32);
             let width = |degrees: f64| units(degrees.to_radians()) as u16;
             let range = AngleRange { start: Angle::from_rad(from - 3f64.to_radians()), width: width(6.0) };
             let visible = Sector { range, ends: [1024; 2] };
-            (returns, Track { place: number, visible, missed_width: width(60.0), ..Track::default() })
+            (returns, Track { visible, missed_width: width(60.0), ..Track::default() })
         });
-        let tile = grid.tiles.find_or_make(TileIndex { x: 0, y: 0 });
-        let evidence = grid.tiles.at_mut(tile).evidence.get_or_insert_default();
-        evidence.fill(cells);
-        evidence.is_touched = true;
+        let mut grid = filled(cells, without);
         grid.decide();
-        let evidence = grid.tiles.at(tile).evidence.as_ref().expect("it was filled");
-        evidence.judgements.iter().map(|judgement| judgement.verdict).collect()
+        evidence(&grid).judgements.iter().map(|judgement| judgement.verdict).collect()
     }
 
     #[test]
@@ -574,7 +585,6 @@ mod tests {
         // The normal of the plane through a pane of half a metre, askew by a hundredth, in a wall so many cells before it that is seen from
         // `off` degrees off the pane's normal; and that of the pane's line.
         let normals = |before: u8, off: f64| {
-            let mut grid = Visagge::new(CELL, VisaggeSettings::default());
             let cells = (4..50).map(|y| {
                 let is_pane = (22..32).contains(&y);
                 let x = if is_pane { 30 } else { 30 - before };
@@ -584,17 +594,14 @@ mod tests {
                 let seen_from = if is_pane { 180.0 } else { 180.0 + off };
                 let range = AngleRange::at(Angle::from_rad(f64::to_radians(seen_from)));
                 let visible = Sector { range, ends: [1024; 2] };
-                (returns, Track { place: place_of([x, y]), visible, ..Track::default() })
+                (returns, Track { visible, ..Track::default() })
             });
-            let place = TileIndex { x: 0, y: 0 };
-            let tile = grid.tiles.find_or_make(place);
-            let evidence = grid.tiles.at_mut(tile).evidence.get_or_insert_default();
-            evidence.fill(cells);
-            let window = Window::around(&grid, place);
-            let evidence = grid.tiles.at(tile).evidence.as_ref().expect("it was filled");
+            let grid = filled(cells, &[]);
+            let window = Window::around(&grid, TILE);
+            let evidence = evidence(&grid);
             let cell = evidence.cells.get(evidence.number(30, 24).expect("it was filled"));
             let mut reach = Reach::at(cell.returns.place);
-            let index = cell.index(place);
+            let index = cell.index(TILE);
             let line = window.patch(index, &cell, &mut reach).surface(units(OF_PLANE), &mut reach);
             let line = line.expect("there is one");
             [window.plane(index, &cell, line, &mut reach), line].map(|line| line.off_normal(PI))
@@ -609,8 +616,6 @@ mod tests {
 
     /// The line through a row of cells along y and, as far to the right of every third one, others; all seen from the left.
     fn through_row_and(beside: i32, without: &[Idea]) -> Line {
-        let settings = VisaggeSettings { without: without.to_vec(), ..VisaggeSettings::default() };
-        let mut grid = Visagge::new(CELL, settings);
         let row = (20..34).map(|y| [30, y]);
         let others = (20..34).step_by(3).map(|y| [30 + beside, y]);
         let cells = row.chain(others).map(|[x, y]| {
@@ -619,13 +624,11 @@ mod tests {
             let visible = Sector { range: AngleRange::at(Angle::from_rad(PI)), ends: [1024; 2] };
             (returns, Track { visible, ..Track::default() })
         });
-        let place = TileIndex { x: 0, y: 0 };
-        let tile = grid.tiles.find_or_make(place);
-        grid.tiles.at_mut(tile).evidence.get_or_insert_default().fill(cells);
-        let window = Window::around(&grid, place);
-        let cell = grid.tiles.at(tile).evidence.as_ref().expect("it was filled").cells.get(7);
+        let grid = filled(cells, without);
+        let window = Window::around(&grid, TILE);
+        let cell = evidence(&grid).cells.get(7);
         let mut reach = Reach::at(cell.returns.place);
-        let patch = window.patch(cell.index(place), &cell, &mut reach);
+        let patch = window.patch(cell.index(TILE), &cell, &mut reach);
         patch.surface(units(OF_PLANE), &mut reach).expect("there are cells")
     }
 

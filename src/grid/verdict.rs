@@ -417,14 +417,14 @@ fn shape(cell: &Cell, line: Option<&Line>, has_come: bool, settings: &VisaggeSet
         return Verdict::NoSurface;
     }
     let is_large = || line.is_some_and(|line| line.is_flat() && line.length >= LARGE);
-    let is_gone = is_gone(cell, line, settings);
-    if is_solid(cell, settings) && !is_gone && (!has_come || is_large()) {
+    let is_gone = || is_gone(cell, line, settings);
+    if is_solid(cell, settings) && !is_gone() && (!has_come || is_large()) {
         return Verdict::Solid;
     }
     if cell.returns.passes > 0 {
         return Verdict::Repeated;
     }
-    if is_gone && is_diffuse(cell, settings) {
+    if is_diffuse(cell, settings) && is_gone() {
         return Verdict::NoSurface;
     }
     let is_explained = line.is_some_and(|line| explains(line, cell, settings)) || glints(cell, settings);
@@ -432,7 +432,7 @@ fn shape(cell: &Cell, line: Option<&Line>, has_come: bool, settings: &VisaggeSet
         Verdict::Surface
     } else if line.is_some_and(|line| is_oblique(line, cell, settings)) {
         Verdict::Oblique
-    } else if is_lasting(cell, settings) && !is_gone {
+    } else if is_lasting(cell, settings) && !is_gone() {
         Verdict::Lasting
     } else {
         Verdict::NoSurface
